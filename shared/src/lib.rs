@@ -5,9 +5,19 @@
 
 pub mod bound;
 pub mod chain;
+pub mod clock;
+pub mod doorbell;
+pub mod event;
+pub mod fault;
+pub mod group;
 pub mod integrator;
+pub mod layout;
 pub mod law;
+pub mod ports;
 pub mod realtime;
+pub mod rng;
+pub mod sample;
 pub mod scenario;
+pub mod topics;
 pub mod trajectory;
 pub mod truth;

@@ -1,0 +1,250 @@
+//! The group's control block: doorbells (futex words) that wake a process for a fraction of what an event costs, and
+//! the few numbers that lockstep paces itself by.
+//!
+//! It lies in a file of the group's folder in memory, mapped by every process of the loop. A doorbell says only
+//! "look again"; what there is to see travels by iceoryx2.
+//!
+//! No wake-up is lost: the ringer publishes first, then changes the word, then looks for waiters; the waiter marks
+//! itself, reads the word, looks for a sample, and only then sleeps *on the word it has read*. All of this is
+//! sequentially consistent, so either the ringer sees the mark or the waiter sees the sample or the changed word.
+
+use std::fs::File;
+use std::io;
+use std::path::Path;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::SeqCst};
+
+use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
+use rustix::thread::futex;
+
+use crate::clock;
+use crate::layout::{FNV_START, fnv1a};
+
+/// Processes of a group that can wait at a doorbell, each with a place of its own.
+pub const PLACES: usize = 32;
+
+/// Which doorbell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Bell {
+    /// Rung by the plant after each state; controllers wait.
+    State = 0,
+    /// Rung by controllers after each torque; the plant waits.
+    Torque = 1,
+    /// Rung when the lockstep's pace changes: by the plant for the reference, by reference and monitor for the plant.
+    Pace = 2,
+}
+
+const BELLS: usize = 3;
+const MAGIC: u64 = fnv1a(FNV_START, b"loopbound control block 1: bells 3, places 32, pace");
+
+#[repr(C, align(64))]
+struct BellWords {
+    word: AtomicU32,
+    /// One mark a process, so that the mark of a killed waiter can be cleared without touching a live one's.
+    waiting: [AtomicU32; PLACES],
+}
+
+#[repr(C, align(64))]
+struct Shared {
+    magic: AtomicU64,
+    places: [AtomicU32; PLACES],
+    bells: [BellWords; BELLS],
+    pace: Pace,
+}
+
+/// Numbers that lockstep is paced by; in realtime mode they only inform.
+#[repr(C, align(64))]
+pub struct Pace {
+    /// The tick the plant is in.
+    pub plant_tick: AtomicU64,
+    /// Ticks below this may close: the launcher's monitor has room for their records.
+    pub credit: AtomicU64,
+    /// Nonzero when the plant has ended, one way or the other.
+    pub plant_ended: AtomicU64,
+}
+
+/// The mapped control block and this process's place in it.
+pub struct ControlBlock {
+    shared: *const Shared,
+    place: usize,
+}
+
+// SAFETY: everything behind the pointer is atomic, and the mapping lives as long as the value.
+#[expect(unsafe_code, reason = "a pointer to a shared mapping of atomics")]
+unsafe impl Send for ControlBlock {}
+// SAFETY: as above.
+#[expect(unsafe_code, reason = "a pointer to a shared mapping of atomics")]
+unsafe impl Sync for ControlBlock {}
+
+impl ControlBlock {
+    /// Makes the block of a new group.
+    ///
+    /// # Errors
+    /// If the file can't be made.
+    pub fn create(path: &Path) -> io::Result<Self> {
+        let file = File::options().read(true).write(true).create_new(true).open(path)?;
+        file.set_len(size_of::<Shared>() as u64)?;
+        let block = Self::map(&file)?;
+        // Released last: whoever sees the magic sees a whole block.
+        block.shared().magic.store(MAGIC, SeqCst);
+        block.take_place()
+    }
+
+    /// Opens the block of a running group and takes a place.
+    ///
+    /// # Errors
+    /// If it is not there, of another build, or full.
+    pub fn open(path: &Path) -> io::Result<Self> {
+        let file = File::options().read(true).write(true).open(path)?;
+        if file.metadata()?.len() != size_of::<Shared>() as u64 {
+            return Err(io::Error::other("the control block is of another build of loopbound"));
+        }
+        let block = Self::map(&file)?;
+        if block.shared().magic.load(SeqCst) != MAGIC {
+            return Err(io::Error::other("the control block is of another build of loopbound"));
+        }
+        block.take_place()
+    }
+
+    fn map(file: &File) -> io::Result<Self> {
+        // SAFETY: a fresh shared mapping of a file of this length; nothing else refers to the address. All access is
+        // by atomics, for which any bytes are values. The file is truncated by nobody: it is only ever unlinked.
+        #[expect(unsafe_code, reason = "shared memory")]
+        let address = unsafe {
+            mmap(
+                std::ptr::null_mut(),
+                size_of::<Shared>(),
+                ProtFlags::READ | ProtFlags::WRITE,
+                MapFlags::SHARED | MapFlags::POPULATE,
+                file,
+                0,
+            )?
+        };
+        Ok(Self { shared: address.cast(), place: PLACES })
+    }
+
+    fn take_place(mut self) -> io::Result<Self> {
+        let pid = std::process::id();
+        let places = &self.shared().places;
+        let free = |p: &AtomicU32| p.compare_exchange(0, pid, SeqCst, SeqCst).is_ok();
+        let Some(place) = places.iter().position(free) else {
+            return Err(io::Error::other(format!("the group has no room for more than {PLACES} processes")));
+        };
+        self.place = place;
+        Ok(self)
+    }
+
+    fn shared(&self) -> &Shared {
+        // SAFETY: mapped in `map`, unmapped only in drop.
+        #[expect(unsafe_code, reason = "shared memory")]
+        unsafe {
+            &*self.shared
+        }
+    }
+
+    /// The numbers that lockstep is paced by.
+    #[must_use]
+    pub fn pace(&self) -> &Pace {
+        &self.shared().pace
+    }
+
+    /// Frees the place and the marks of a process that is gone. The supervisor's, once it has reaped that process.
+    pub fn clear_place_of(&self, pid: u32) {
+        for (place, owner) in self.shared().places.iter().enumerate() {
+            if owner.load(SeqCst) == pid {
+                for bell in &self.shared().bells {
+                    bell.waiting[place].store(0, SeqCst);
+                }
+                owner.store(0, SeqCst);
+            }
+        }
+    }
+
+    /// Wakes whoever waits at `bell`. Without a waiter it costs no system call. Publish first, then ring.
+    pub fn ring(&self, bell: Bell) {
+        let bell = &self.shared().bells[bell as usize];
+        bell.word.fetch_add(1, SeqCst);
+        if bell.waiting.iter().any(|mark| mark.load(SeqCst) != 0) {
+            // A failed wake-up has no waiter to miss it; every wait has a timeout besides.
+            let _ = futex::wake(&bell.word, futex::Flags::empty(), u32::MAX);
+        }
+    }
+
+    /// Looks by `look` until it finds something or the clock passes `until_ns`, sleeping at `bell` in between.
+    pub fn wait<R>(&self, bell: Bell, until_ns: u64, mut look: impl FnMut() -> Option<R>) -> Option<R> {
+        let bell = &self.shared().bells[bell as usize];
+        let mark = &bell.waiting[self.place];
+        mark.store(1, SeqCst);
+        let found = loop {
+            let seen = bell.word.load(SeqCst);
+            if let Some(found) = look() {
+                break Some(found);
+            }
+            if clock::now_ns() >= until_ns {
+                break None;
+            }
+            let until = clock::timespec(until_ns);
+            // Woken, changed, timed out or interrupted: in any case look again. The bitset form takes an absolute time.
+            let _ = futex::wait_bitset(&bell.word, futex::Flags::empty(), seen, Some(&until), ANY);
+        };
+        mark.store(0, SeqCst);
+        found
+    }
+}
+
+const ANY: std::num::NonZeroU32 = std::num::NonZeroU32::MAX;
+
+impl Drop for ControlBlock {
+    fn drop(&mut self) {
+        if self.place < PLACES {
+            self.clear_place_of(std::process::id());
+        }
+        // SAFETY: mapped in `map` with this size, and no reference outlives self.
+        #[expect(unsafe_code, reason = "shared memory")]
+        // Unmapping can only fail for a bad range, which this is not.
+        let _ = unsafe { munmap(self.shared.cast_mut().cast(), size_of::<Shared>()) };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_ring_is_lost_between_two_threads_that_answer_each_other() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("bell");
+        let plant = ControlBlock::create(&path).unwrap();
+        let controller = ControlBlock::open(&path).unwrap();
+        assert_ne!(plant.place, controller.place);
+        let (asked, answered) = (AtomicU64::new(0), AtomicU64::new(0));
+        let far_ns = clock::now_ns() + 60_000_000_000;
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                for k in 1..=20_000 {
+                    let seen = controller.wait(Bell::State, far_ns, || (asked.load(SeqCst) == k).then_some(()));
+                    assert!(seen.is_some(), "state {k} was not seen");
+                    answered.store(k, SeqCst);
+                    controller.ring(Bell::Torque);
+                }
+            });
+            for k in 1..=20_000 {
+                asked.store(k, SeqCst);
+                plant.ring(Bell::State);
+                let seen = plant.wait(Bell::Torque, far_ns, || (answered.load(SeqCst) == k).then_some(()));
+                assert!(seen.is_some(), "torque {k} was not seen");
+            }
+        });
+    }
+
+    #[test]
+    fn a_wait_without_a_ring_ends_at_its_time_and_a_block_of_another_build_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("bell");
+        let block = ControlBlock::create(&path).unwrap();
+        let until_ns = clock::now_ns() + 2_000_000;
+        assert_eq!(block.wait(Bell::Pace, until_ns, || None::<()>), None);
+        assert!(clock::now_ns() >= until_ns);
+        block.shared().magic.store(1, SeqCst);
+        assert!(ControlBlock::open(&path).is_err());
+    }
+}

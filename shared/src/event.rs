@@ -1,0 +1,209 @@
+//! The closed sets of what can be said, asked and refused: small codes on the wire, names in files and on screens.
+
+macro_rules! codes {
+    ($($(#[$meta:meta])* pub enum $name:ident { $($(#[$vmeta:meta])* $variant:ident = $code:literal, $text:literal;)* })*) => {$(
+        $(#[$meta])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        #[repr(u32)]
+        pub enum $name { $($(#[$vmeta])* $variant = $code,)* }
+
+        impl $name {
+            /// Every value, in order of its code.
+            pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
+
+            /// The value of a code from the wire; `None` for a code that this build does not know.
+            #[must_use]
+            pub const fn from_code(code: u32) -> Option<Self> {
+                match code { $($code => Some(Self::$variant),)* _ => None }
+            }
+
+            /// The code on the wire.
+            #[must_use]
+            pub const fn code(self) -> u32 { self as u32 }
+
+            /// The name in files and on screens.
+            #[must_use]
+            pub const fn name(self) -> &'static str {
+                match self { $(Self::$variant => $text,)* }
+            }
+        }
+
+        impl core::fmt::Display for $name {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result { f.pad(self.name()) }
+        }
+    )*};
+}
+
+codes! {
+    /// The processes of a group.
+    pub enum Role {
+        /// Spawns, commands, cleans; never in the loop.
+        Supervisor = 1, "supervisor";
+        /// Publishes setpoints.
+        Reference = 2, "reference";
+        /// Answers states with torques.
+        Controller = 3, "controller";
+        /// Integrates the chain and is the sole arbiter of torque.
+        Plant = 4, "plant";
+        /// Watches.
+        Monitor = 5, "monitor";
+    }
+
+    /// Where a process is in its life.
+    pub enum Phase {
+        /// Ports are open, memory is locked, the code is warm.
+        Ready = 1, "ready";
+        /// It ended in order.
+        Ended = 2, "ended";
+        /// It could not go on; the reason is on its standard error.
+        Failed = 3, "failed";
+    }
+
+    /// What became of one torque.
+    pub enum Acceptance {
+        /// Nothing came from this controller in this tick.
+        None = 0, "none";
+        /// Accepted and applied.
+        Applied = 1, "applied";
+        /// Good and in time, of a standby, not needed.
+        Standby = 2, "standby";
+        /// After the grace deadline, and applied from its arrival.
+        Late = 3, "late";
+        /// After the grace deadline and not applied: a standby had taken over, or the writer is one.
+        LateUnused = 4, "late, unused";
+        /// For another tick.
+        Stale = 5, "stale";
+        /// Not finite.
+        NotFinite = 6, "not finite";
+        /// The wrong number of links, or beyond what is allowed.
+        Malformed = 7, "malformed";
+        /// From a writer that is no member of the group.
+        UnknownWriter = 8, "unknown writer";
+        /// From an epoch that was fenced.
+        Fenced = 9, "fenced";
+        /// A second one for the same tick.
+        Duplicate = 10, "duplicate";
+        /// The explicit marker that none is given.
+        Withheld = 11, "withheld";
+    }
+
+    /// Where the torque of a tick came from.
+    pub enum Decision {
+        /// The plant rests at its start: no torque was accepted yet.
+        Rest = 0, "rest";
+        /// The active controller's, in time.
+        Active = 1, "active";
+        /// The active controller's, after the grace deadline.
+        ActiveLate = 2, "active, late";
+        /// A standby's for the same tick, since the active one's was not there.
+        Standby = 3, "standby";
+        /// The last torque goes on.
+        Held = 4, "held";
+        /// The plant's own damping with gravity compensation.
+        Damped = 5, "damped";
+        /// The plant's own stop.
+        Stopped = 6, "stopped";
+        /// A convex combination of the old and the new controller's.
+        Blend = 7, "blend";
+    }
+
+    /// Entries of a record besides its torques.
+    pub enum HappeningKind {
+        /// A controller took over by command. Subject: new id; detail: old id; value: torque step, N·m.
+        Swap = 1, "swap";
+        /// A standby took over within the tick. Subject: new id; detail: old id.
+        Failover = 2, "failover";
+        /// A swap was taken back. Subject: id in charge again; detail: a `Refusal` code.
+        Rollback = 3, "rollback";
+        /// A swap was refused at its gate. Subject: id refused; detail: a `Refusal` code; value: the number.
+        SwapRefused = 4, "swap refused";
+        /// The first accepted torque. Subject: controller id.
+        FirstTorque = 5, "first torque";
+        /// The plant's fallback changed. Subject: a `Decision` code; detail: ticks held.
+        Fallback = 6, "fallback";
+        /// A port joined and memory was mapped. Detail: nanoseconds it took.
+        Joined = 7, "joined";
+        /// A controller became a member. Subject: its id.
+        MemberAdded = 8, "member added";
+        /// A controller is no member any more. Subject: its id.
+        MemberRemoved = 9, "member removed";
+        /// The plant's own injected fault. Subject: fault kind.
+        FaultInjected = 10, "fault injected";
+        /// A blend ended. Subject: controller id.
+        BlendEnded = 11, "blend ended";
+    }
+
+    /// What the supervisor may ask of the plant.
+    pub enum CommandKind {
+        /// Start the clock: t_0 at `ns` (or the next aligned instant), stop at `tick`.
+        Start = 1, "start";
+        /// Stop before `tick`.
+        StopAt = 2, "stop at";
+        /// `controller` may publish torques from now on.
+        AddMember = 3, "add member";
+        /// `controller` is dead or retired: wait for it no more, fence it.
+        RemoveMember = 4, "remove member";
+        /// Give authority to `controller` through the gate, at `tick` or as soon as it passes.
+        Swap = 5, "swap";
+        /// Say how the swap asked for last is doing.
+        SwapStatus = 6, "swap status";
+    }
+
+    /// How the plant answers.
+    pub enum ReplyKind {
+        /// Done, or noted and certain to be done.
+        Done = 1, "done";
+        /// Under way.
+        Pending = 2, "pending";
+        /// Not done.
+        Refused = 3, "refused";
+        /// Done, and taken back.
+        RolledBack = 4, "rolled back";
+    }
+
+    /// Why the plant says no.
+    pub enum Refusal {
+        /// The command is not known, or a field is out of range.
+        BadCommand = 1, "the command is not understood";
+        /// No such member.
+        UnknownController = 2, "no such controller";
+        /// It is in charge already.
+        AlreadyActive = 3, "that controller is in charge already";
+        /// Another swap is under way.
+        Busy = 4, "another swap is under way";
+        /// Its torques do not come in time.
+        NotOnTime = 5, "its torques do not come in time";
+        /// Its torques are not finite or beyond the limits.
+        NotFinite = 6, "its torques are not finite or beyond the limits";
+        /// The torque would step by more than allowed.
+        TorqueStep = 7, "the torque would step by more than allowed";
+        /// V is outside the new law's certified set.
+        OutsideLevel = 8, "V is outside the new law's certified set";
+        /// Too soon after the last swap.
+        Dwell = 9, "too soon after the last swap";
+        /// The tick named has passed.
+        TickPassed = 10, "the tick named has passed";
+        /// Promise (a) was broken after the switch.
+        Promise = 11, "the bound's promise was broken after the switch";
+        /// Deadlines were missed after the switch.
+        Deadlines = 12, "deadlines were missed after the switch";
+        /// The gate did not pass in time.
+        TimedOut = 13, "the gate did not pass in time";
+        /// The controller left.
+        Gone = 14, "that controller is gone";
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_code_reads_back_as_itself_and_an_unknown_one_as_none() {
+        for decision in Decision::ALL {
+            assert_eq!(Decision::from_code(decision.code()), Some(*decision));
+        }
+        assert_eq!(Acceptance::from_code(999), None);
+        assert_eq!(Role::Plant.to_string(), "plant");
+    }
+}

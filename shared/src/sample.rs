@@ -1,0 +1,414 @@
+//! Everything that crosses a process boundary, in one place.
+//!
+//! Wire samples are not generic: a vector is `[f64; 7]` of which the first `links` count, so that a monitor can attach
+//! before it knows the scenario. Every sample carries the tick it belongs to or answers, its writer and that writer's
+//! epoch, and copies the stamps of its inputs through. Stamps `…_ns` are CLOCK_MONOTONIC in realtime mode and virtual
+//! in lockstep; `…_plant_ns` count from t = 0 of the plant in both.
+
+use crate::chain::{LINKS_MAX, Vector};
+use crate::realtime::{Evidence, Privileges};
+use crate::wire;
+
+/// One entry a link; those from `links` on are zero.
+pub type Links = [f64; LINKS_MAX];
+
+/// The first N entries as a vector of the mathematics.
+#[must_use]
+pub fn to_vector<const N: usize>(links: &Links) -> Vector<N> {
+    Vector::from_fn(|i, _| links[i])
+}
+
+/// A vector of the mathematics as it travels.
+#[must_use]
+pub fn to_links<const N: usize>(vector: &Vector<N>) -> Links {
+    let mut links = [0.0; LINKS_MAX];
+    links[..N].copy_from_slice(vector.as_slice());
+    links
+}
+
+wire! {
+    /// What the reference asks for at tick `tick`, published ahead of time.
+    pub struct Setpoint {
+        /// The tick it holds for.
+        pub tick: u64,
+        /// Time of that tick since t = 0.
+        pub plant_ns: u64,
+        /// When it was published.
+        pub published_ns: u64,
+        /// Id of the reference process.
+        pub writer: u32,
+        /// Links in use.
+        pub links: u32,
+        /// q_d, rad.
+        pub q_d: Links,
+        /// q̇_d, rad/s.
+        pub v_d: Links,
+        /// q̈_d, rad/s².
+        pub a_d: Links,
+    }
+}
+
+wire! {
+    /// What the plant measured at the start of a tick.
+    pub struct State {
+        /// The tick k.
+        pub tick: u64,
+        /// t_k: the deadline of tick k.
+        pub deadline_ns: u64,
+        /// s_k: when the plant sampled.
+        pub sampled_ns: u64,
+        /// When this sample was published.
+        pub published_ns: u64,
+        /// The grace deadline: a torque received after it counts late.
+        pub grace_deadline_ns: u64,
+        /// s_k since t = 0.
+        pub plant_ns: u64,
+        /// s_k − t_k in plant time: how far past the setpoint's instant the sample was taken.
+        pub setpoint_offset_ns: u64,
+        /// Authority: the controller that is obeyed …
+        pub active: u32,
+        /// … and in which epoch.
+        pub epoch: u32,
+        /// [`state_flag`].
+        pub flags: u32,
+        /// Links in use.
+        pub links: u32,
+        /// Measured q, rad.
+        pub q: Links,
+        /// Measured q̇, rad/s.
+        pub v: Links,
+    }
+}
+
+/// Flags of a [`State`].
+pub mod state_flag {
+    /// The last state of the group: answer it no more, end.
+    pub const LAST: u32 = 1;
+    /// Published before tick 0 to warm up both ends; answers are not applied.
+    pub const WARM_UP: u32 = 2;
+}
+
+wire! {
+    /// A controller's answer to one [`State`].
+    pub struct Torque {
+        /// The tick answered.
+        pub tick: u64,
+        /// `published_ns` of the state answered.
+        pub state_published_ns: u64,
+        /// When the controller received that state.
+        pub received_ns: u64,
+        /// When this sample was published.
+        pub published_ns: u64,
+        /// Tick of the setpoint that was used (the same tick, unless it was absent).
+        pub setpoint_tick: u64,
+        /// When that setpoint was published.
+        pub setpoint_published_ns: u64,
+        /// Lockstep only: how much later than the state this torque arrives (an injected delay).
+        pub virtual_delay_ns: u64,
+        /// Controller id.
+        pub writer: u32,
+        /// Epoch in which the controller believes it answers.
+        pub epoch: u32,
+        /// [`torque_flag`].
+        pub flags: u32,
+        /// Links in use.
+        pub links: u32,
+        /// τ, N·m.
+        pub tau: Links,
+        /// The setpoint that was used, at s_k.
+        pub q_d: Links,
+        /// Its velocity.
+        pub v_d: Links,
+        /// Its acceleration.
+        pub a_d: Links,
+        /// The controller's evidence as of its last slack.
+        pub evidence: Evidence,
+    }
+}
+
+/// Flags of a [`Torque`].
+pub mod torque_flag {
+    /// A marker: no torque is given for this tick (an injected fault; keeps lockstep going).
+    pub const WITHHELD: u32 = 1;
+    /// The setpoint of this tick was absent; an older one was extrapolated.
+    pub const SETPOINT_STALE: u32 = 2;
+    /// A fault was injected into this torque.
+    pub const FAULT_INJECTED: u32 = 4;
+}
+
+wire! {
+    /// A torque as it acted on the plant from `from_plant_ns` until the next segment.
+    pub struct Segment {
+        /// Since when, in plant time.
+        pub from_plant_ns: u64,
+        /// The tick whose state it answers.
+        pub answered_tick: u64,
+        /// Writer, 0 for the plant's own (rest, hold, damping).
+        pub writer: u32,
+        /// Epoch of the writer.
+        pub epoch: u32,
+        /// τ after limits, N·m.
+        pub tau: Links,
+    }
+}
+
+wire! {
+    /// When and how one controller answered this tick.
+    pub struct Receipt {
+        /// When the plant received it (0: nothing came).
+        pub arrived_ns: u64,
+        /// When the controller received the state.
+        pub state_received_ns: u64,
+        /// When the controller published.
+        pub torque_published_ns: u64,
+        /// When the setpoint it used was published.
+        pub setpoint_published_ns: u64,
+        /// The tick of the setpoint it used.
+        pub setpoint_tick: u64,
+        /// The controller's cumulative run-queue delay.
+        pub run_delay_ns: u64,
+        /// The controller's cumulative involuntary switches.
+        pub involuntary_switches: u64,
+        /// The controller's cumulative page faults.
+        pub faults: u64,
+        /// Controller id.
+        pub writer: u32,
+        /// Its epoch.
+        pub epoch: u32,
+        /// [`torque_flag`] as sent.
+        pub flags: u32,
+        /// [`crate::event::Acceptance`].
+        pub acceptance: u32,
+    }
+}
+
+wire! {
+    /// Something that happened in a tick, as a closed kind with its numbers.
+    pub struct Happening {
+        /// [`crate::event::HappeningKind`].
+        pub kind: u32,
+        /// Controller id or role, by kind.
+        pub subject: u32,
+        /// A count, a tick or nanoseconds, by kind.
+        pub detail: u64,
+        /// A magnitude, by kind.
+        pub value: f64,
+    }
+}
+
+wire! {
+    /// Counts since the start of the plant. Cumulative, so a gap in what a reader saw loses detail, never a count.
+    pub struct Counters {
+        /// Ticks whose record was published.
+        pub ticks: u64,
+        /// Ticks skipped in overruns; never published.
+        pub skipped: u64,
+        /// Overruns: wake-ups after t_{k+1}.
+        pub overruns: u64,
+        /// Missed ticks: skipped, or without an accepted torque by the grace deadline.
+        pub missed: u64,
+        /// Torques that came after the grace deadline.
+        pub late: u64,
+        /// Torques for another tick; never applied.
+        pub stale: u64,
+        /// Torques that were not finite; never applied.
+        pub not_finite: u64,
+        /// Torques of the wrong number of links, or beyond what is allowed; never applied.
+        pub malformed: u64,
+        /// Torques of unknown writers; never applied.
+        pub unknown_writer: u64,
+        /// Torques of a fenced epoch; never applied.
+        pub fenced: u64,
+        /// A second torque of one writer for one tick; never applied.
+        pub duplicate: u64,
+        /// Withheld markers.
+        pub withheld: u64,
+        /// Ticks in which the torque limit acted.
+        pub saturated: u64,
+        /// Ticks whose setpoint was absent and extrapolated.
+        pub setpoint_stale: u64,
+        /// Faults injected, by the torques' own account and the plant's.
+        pub faults_injected: u64,
+        /// Ticks held by the last torque.
+        pub held: u64,
+        /// Ticks under the plant's own damping.
+        pub damped: u64,
+        /// Ticks in safe stop.
+        pub stopped: u64,
+        /// Ticks for which a standby's torque was applied.
+        pub failovers: u64,
+        /// Segments that found no room in a record.
+        pub segments_dropped: u64,
+    }
+}
+
+/// Segments that a record holds.
+pub const SEGMENTS_MAX: usize = 8;
+/// Controllers that a record has receipts of.
+pub const RECEIPTS_MAX: usize = 8;
+/// Happenings that a record holds.
+pub const HAPPENINGS_MAX: usize = 6;
+
+wire! {
+    /// All of tick k, published when it has closed: the one sample from which everything is judged.
+    pub struct TickRecord {
+        /// The tick k.
+        pub tick: u64,
+        /// t_k.
+        pub deadline_ns: u64,
+        /// s_k: when the plant sampled.
+        pub sampled_ns: u64,
+        /// When the state was published.
+        pub published_ns: u64,
+        /// The grace deadline of the tick.
+        pub grace_deadline_ns: u64,
+        /// s_{k+1}: when the tick ended.
+        pub end_ns: u64,
+        /// s_k in plant time: where the integration of this tick starts.
+        pub start_plant_ns: u64,
+        /// s_{k+1} in plant time: where it ends.
+        pub end_plant_ns: u64,
+        /// s_k − t_k in plant time.
+        pub setpoint_offset_ns: u64,
+        /// When the accepted torque arrived (0: none).
+        pub accepted_ns: u64,
+        /// Setpoint tick used for q_d …: the same tick, unless it was absent.
+        pub setpoint_tick: u64,
+        /// Ticks skipped just before this one.
+        pub skipped_before: u64,
+        /// The longest gap between two looks at the clock while the plant was spinning.
+        pub spin_gap_ns: u64,
+        /// [`crate::event::Decision`].
+        pub decision: u32,
+        /// The controller in charge at the end of the tick …
+        pub active: u32,
+        /// … and its epoch.
+        pub epoch: u32,
+        /// [`record_flag`].
+        pub flags: u32,
+        /// Links in use.
+        pub links: u32,
+        /// Entries of `segments` in use.
+        pub segments_used: u32,
+        /// Entries of `receipts` in use.
+        pub receipts_used: u32,
+        /// Entries of `happenings` in use.
+        pub happenings_used: u32,
+        /// True q at s_k, rad.
+        pub q: Links,
+        /// True q̇ at s_k, rad/s.
+        pub v: Links,
+        /// Measured q, as published.
+        pub q_measured: Links,
+        /// Measured q̇, as published.
+        pub v_measured: Links,
+        /// The setpoint at s_k.
+        pub q_d: Links,
+        /// Its velocity.
+        pub v_d: Links,
+        /// Its acceleration.
+        pub a_d: Links,
+        /// The disturbance at s_k, N·m.
+        pub disturbance: Links,
+        /// The setpoint that the accepted torque used.
+        pub used_q_d: Links,
+        /// Its velocity.
+        pub used_v_d: Links,
+        /// Its acceleration.
+        pub used_a_d: Links,
+        /// The torques that acted, in order of time; the first starts at or before `start_plant_ns`.
+        pub segments: [Segment; SEGMENTS_MAX],
+        /// How each controller answered.
+        pub receipts: [Receipt; RECEIPTS_MAX],
+        /// What happened besides.
+        pub happenings: [Happening; HAPPENINGS_MAX],
+        /// The plant's evidence, read in the slack of this tick.
+        pub evidence: Evidence,
+        /// Counts since the start.
+        pub counters: Counters,
+    }
+}
+
+/// Flags of a [`TickRecord`].
+pub mod record_flag {
+    /// The last record of the group.
+    pub const LAST: u32 = 1;
+    /// The plant rests at its start: no torque was accepted yet.
+    pub const AT_REST: u32 = 2;
+    /// The torque limit acted.
+    pub const SATURATED: u32 = 4;
+    /// The setpoint of this tick was absent; an older one was extrapolated.
+    pub const SETPOINT_STALE: u32 = 8;
+    /// No setpoint has come yet: q_d is the start position.
+    pub const SETPOINT_NONE: u32 = 16;
+    /// A fault was injected in this tick.
+    pub const FAULT_INJECTED: u32 = 32;
+    /// The plant had to map memory for a port that joined.
+    pub const JOINED: u32 = 64;
+}
+
+wire! {
+    /// Who a process is and what it claims; published once it is ready and whenever that changes.
+    pub struct Announce {
+        /// [`crate::event::Role`].
+        pub role: u32,
+        /// Id within the group.
+        pub id: u32,
+        /// Process id.
+        pub pid: u32,
+        /// [`crate::event::Phase`].
+        pub phase: u32,
+        /// Build of the executable.
+        pub build: u64,
+        /// When it was published.
+        pub published_ns: u64,
+        /// What the process had of real-time privileges.
+        pub privileges: Privileges,
+        /// Law of a controller: 0 none announced, else 1 + index in `LawKind::ALL`.
+        pub law: u32,
+        /// Links in use.
+        pub links: u32,
+        /// β of the announced law.
+        pub beta: f64,
+        /// K_t of the announced law.
+        pub k_t: f64,
+        /// K_p of the announced law.
+        pub k_p: f64,
+        /// K_d of the announced law.
+        pub k_d: f64,
+        /// Name of the law or executable, UTF-8, zero-filled.
+        pub name: [u8; 32],
+    }
+}
+
+wire! {
+    /// What the supervisor asks of the plant.
+    pub struct Command {
+        /// [`crate::event::CommandKind`].
+        pub kind: u32,
+        /// Controller id, where one is meant.
+        pub controller: u32,
+        /// The tick at which it takes effect (0: at once).
+        pub tick: u64,
+        /// Nanoseconds, by kind: t_0 for start, blend time for swap.
+        pub ns: u64,
+        /// 1: skip the gate (not the safety checks).
+        pub force: u64,
+    }
+}
+
+wire! {
+    /// The plant's answer.
+    pub struct Reply {
+        /// [`crate::event::ReplyKind`].
+        pub kind: u32,
+        /// [`crate::event::Refusal`], 0 where accepted.
+        pub reason: u32,
+        /// The tick at which it takes or took effect.
+        pub tick: u64,
+        /// A magnitude that belongs to the reason (a torque step in N·m, V …).
+        pub value: f64,
+        /// What is allowed of it.
+        pub limit: f64,
+    }
+}

@@ -1,0 +1,50 @@
+//! The table of topics: what flows, from whom to whom, and with which quality of service.
+
+use crate::sample::{Announce, Setpoint, State, TickRecord, Torque};
+
+/// Subscribers that a topic has room for.
+pub const SUBSCRIBERS_MAX: usize = 16;
+/// Publishers that a topic has room for. A dead one keeps its place until it is cleaned up.
+pub const PUBLISHERS_MAX: usize = 8;
+/// Nodes that a topic has room for: every process of the group and those that attach.
+pub const NODES_MAX: usize = 32;
+
+/// A sample type and the quality of service of its topic. Safe overflow is on everywhere: a reader that sleeps loses
+/// its own oldest samples and delays nobody.
+pub trait Topic: iceoryx2::prelude::ZeroCopySend + Copy + core::fmt::Debug + 'static {
+    /// Name of the service.
+    const NAME: &'static str;
+    /// Who writes.
+    const WRITER: &'static str;
+    /// Who reads.
+    const READERS: &'static str;
+    /// Samples that a reader's buffer holds.
+    const DEPTH: usize;
+    /// Past samples that a late reader is given.
+    const HISTORY: usize;
+}
+
+macro_rules! topics {
+    ($($sample:ty: $name:literal, $writer:literal => $readers:literal, depth $depth:literal, history $history:literal;)*) => {
+        $(impl Topic for $sample {
+            const NAME: &'static str = $name;
+            const WRITER: &'static str = $writer;
+            const READERS: &'static str = $readers;
+            const DEPTH: usize = $depth;
+            const HISTORY: usize = $history;
+        })*
+
+        /// The table as text: name, writer, readers, depth, history.
+        pub const TABLE: &[(&str, &str, &str, usize, usize)] = &[
+            $((<$sample>::NAME, <$sample>::WRITER, <$sample>::READERS, <$sample>::DEPTH, <$sample>::HISTORY),)*
+        ];
+    };
+}
+
+topics! {
+    Setpoint:   "setpoint",    "reference"     => "controllers, plant",               depth 2048, history 2048;
+    State:      "state",       "plant"         => "controllers",                      depth 64,   history 1;
+    Torque:     "torque",      "controllers"   => "plant",                            depth 64,   history 0;
+    TickRecord: "tick-record", "plant"         => "monitors",                         depth 2048, history 0;
+    Announce:   "announce",    "all"           => "supervisor, plant, monitors",      depth 64,   history 8;
+}
