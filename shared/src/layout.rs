@@ -4,6 +4,8 @@
 //! would pass that. So the type name of every sample carries a hash over names, types and order of its fields,
 //! computed at compile time from the definition itself: it cannot be forgotten.
 
+#![expect(unsafe_code, reason = "the trait promises what the compiler can't check; each SAFETY note says why")]
+
 /// Plain data: every bit pattern valid, no padding, no pointers. Implemented by [`wire!`](crate::wire) and here for
 /// the primitives.
 ///
@@ -127,6 +129,31 @@ macro_rules! wire {
         }
     };
 }
+
+/// Layout hash of plain data that is defined with its own module; the list of fields is checked to be whole.
+macro_rules! layout_of {
+    ($name:path { $($field:ident : $t:ty),* $(,)? }) => {
+        const _: () = assert!(size_of::<$name>() == 0 $(+ size_of::<$t>())*, "padding, or a field is not listed");
+        const _: fn($name) = |value| { let $name { $($field),* } = value; $(let _: $t = $field;)* };
+        // SAFETY: no padding (asserted), every field listed (destructured above) and plain data itself.
+        unsafe impl Layout for $name {
+            const HASH: u64 = {
+                let hash = fnv1a(FNV_START, stringify!($name).as_bytes());
+                $(
+                    let hash = fnv1a(hash, stringify!($field).as_bytes());
+                    let hash = fnv1a(hash, &<$t as Layout>::HASH.to_le_bytes());
+                )*
+                hash
+            };
+        }
+    };
+}
+use crate::realtime::{Evidence, Privileges, STEPS};
+layout_of!(Evidence {
+    run_delay_ns: u64, timeslices: u64, run_time_ns: u64, voluntary_switches: u64, involuntary_switches: u64,
+    minor_faults: u64, major_faults: u64, missing: u64,
+});
+layout_of!(Privileges { priority: u32, core: u32, steps: [u32; STEPS.len()] });
 
 #[cfg(test)]
 mod tests {
