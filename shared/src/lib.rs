@@ -16,6 +16,7 @@ pub mod law;
 pub mod ports;
 pub mod realtime;
 pub mod rng;
+pub mod role;
 pub mod sample;
 pub mod scenario;
 pub mod topics;

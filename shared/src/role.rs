@@ -1,0 +1,118 @@
+//! What every role process is started with, and how it ends.
+
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+use crate::doorbell::ControlBlock;
+use crate::event::{Phase, Role};
+use crate::group::{Group, GroupError};
+use crate::ports::{Node, PortError};
+use crate::realtime::Privileges;
+use crate::sample::Announce;
+use crate::scenario::{Scenario, ScenarioError};
+
+/// How a role process is started: `EXE --group G --id N --scenario FILE [--parent PID]`.
+#[derive(Clone, Debug)]
+pub struct RoleArgs {
+    /// Name of the group.
+    pub group: String,
+    /// Id within the group; controllers count from 1.
+    pub id: u32,
+    /// The scenario, with all defaults filled in.
+    pub scenario: PathBuf,
+    /// The supervisor: if it dies, the role ends.
+    pub parent: Option<u32>,
+}
+
+/// Why a role could not start or go on.
+#[derive(Debug, Error)]
+pub enum RoleError {
+    /// The group is not there.
+    #[error(transparent)]
+    Group(#[from] GroupError),
+    /// A port can't be opened.
+    #[error(transparent)]
+    Port(#[from] PortError),
+    /// The scenario is refused.
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
+    /// The control block can't be opened.
+    #[error("the group's control block: {0}")]
+    ControlBlock(std::io::Error),
+    /// Anything else, said in words.
+    #[error("{0}")]
+    Other(String),
+}
+
+/// What every role has once it has joined. Fields are dropped in this order: ports (the node) before the group's lock.
+pub struct Joined {
+    /// Its doorbells.
+    pub block: ControlBlock,
+    /// Its ports' node.
+    pub node: Node,
+    /// What is to be run.
+    pub scenario: Scenario,
+    /// Its hold on the group.
+    pub group: Group,
+}
+
+/// Joins the group named in `args` and reads its scenario.
+///
+/// # Errors
+/// If the group is not running, is of another build, or the scenario is refused.
+pub fn join(args: &RoleArgs) -> Result<Joined, RoleError> {
+    let group = Group::join(&args.group)?;
+    let scenario = Scenario::load(&args.scenario)?;
+    let block = ControlBlock::open(&group.file("bell")).map_err(RoleError::ControlBlock)?;
+    let node = Node::open(&group)?;
+    Ok(Joined { block, node, scenario, group })
+}
+
+/// Calls a function that is generic over the number of links with the scenario's number.
+#[macro_export]
+macro_rules! with_links {
+    ($links:expr, $function:ident :: <N> ( $($argument:expr),* $(,)? )) => {
+        match $links {
+            1 => $function::<1>($($argument),*),
+            2 => $function::<2>($($argument),*),
+            3 => $function::<3>($($argument),*),
+            4 => $function::<4>($($argument),*),
+            5 => $function::<5>($($argument),*),
+            6 => $function::<6>($($argument),*),
+            7 => $function::<7>($($argument),*),
+            other => unreachable!("a scenario has 1 to 7 links, not {other}: checked when it is read"),
+        }
+    };
+}
+
+/// An announcement with what all roles have in common.
+#[must_use]
+pub fn announce(role: Role, id: u32, phase: Phase, links: usize, privileges: Privileges, name: &str) -> Announce {
+    let mut bytes = [0; 32];
+    let length = name.len().min(bytes.len());
+    bytes[..length].copy_from_slice(&name.as_bytes()[..length]);
+    Announce {
+        role: role.code(),
+        id,
+        pid: std::process::id(),
+        phase: phase.code(),
+        build: build_id(),
+        published_ns: crate::clock::now_ns(),
+        privileges,
+        links: u32::try_from(links).unwrap_or(0),
+        name: bytes,
+        ..Announce::zeroed()
+    }
+}
+
+/// Identifies what this executable exchanges and computes: version and layout of every sample.
+#[must_use]
+pub fn build_id() -> u64 {
+    use crate::layout::{FNV_START, Layout, fnv1a};
+    use crate::sample::{Command, Reply, Setpoint, State, TickRecord, Torque};
+    let hash = fnv1a(FNV_START, env!("CARGO_PKG_VERSION").as_bytes());
+    [Setpoint::HASH, State::HASH, Torque::HASH, TickRecord::HASH, Announce::HASH, Command::HASH, Reply::HASH]
+        .iter()
+        .fold(hash, |hash, layout| fnv1a(hash, &layout.to_le_bytes()))
+}
