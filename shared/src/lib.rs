@@ -8,6 +8,7 @@ pub mod chain;
 pub mod integrator;
 pub mod law;
 pub mod realtime;
+pub mod rng;
 pub mod scenario;
 pub mod trajectory;
 pub mod truth;
