@@ -5,6 +5,7 @@
 
 pub mod bound;
 pub mod chain;
+pub mod fault;
 pub mod integrator;
 pub mod law;
 pub mod realtime;
