@@ -1,6 +1,3 @@
-<<<<<<< HEAD
-//! Not written yet.
-=======
 //! Faults on purpose: which of a scenario's faults befall a process in a tick, and how.
 //!
 //! Responsible for the decision alone, a pure function of the scenario and the tick: any process can recompute it, and a
@@ -320,4 +317,3 @@ mod tests {
         assert_eq!(plan.at_tick(3).glitch, Some((2, -4.5)));
     }
 }
->>>>>>> h2
