@@ -446,3 +446,60 @@ fn names_of_groups_are_short_and_plain() {
         assert!(check_group_name(name).is_err(), "{name}");
     }
 }
+
+#[test]
+fn the_default_builds_the_papers_chain_start_and_motion() {
+    use crate::chain::{Chain, LinkParameters};
+    let scenario = Scenario::default();
+    let links = LinkParameters { mass_kg: [1.0; 3], length_m: [1.0; 3], inertia_kg_m2: None, gravity_m_s2: 9.81 };
+    let unit = Chain::<3>::from_links(&links).expect("the unit chain");
+    assert_eq!(scenario.build_model::<3>().expect("a chain"), unit);
+    assert_eq!(
+        scenario.build_truth::<3>().expect("a plant"),
+        crate::truth::Truth { seed: 1, ..crate::truth::Truth::ideal(unit) }
+    );
+    assert_eq!(scenario.build_start::<3>().expect("a start").q.as_slice(), [0.3, -0.2, 0.25]);
+    let trajectory = scenario.build_trajectory::<3>().expect("a motion");
+    assert_eq!(trajectory, crate::trajectory::Trajectory::of_the_paper());
+    assert!(scenario.build_model::<2>().is_err(), "the scenario has three links");
+}
+
+#[test]
+fn every_kind_of_disturbance_and_motion_can_be_built() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let points = folder.path().join("p.csv");
+    std::fs::write(&points, "t_s,q1,q2\n0,0,0\n1,0.5,0.2\n2,0.1,0.4\n").expect("it can be written");
+    let motions = [
+        "kind = 'sine'\nomega_rad_s = [1, 2]".to_owned(),
+        "kind = 'multi-sine'\nterm = [{ amplitude_rad = 1, omega_rad_s = 2 }, { amplitude_rad = [1, 2], omega_rad_s = 3 }]".to_owned(),
+        "kind = 'quintic'\nto_rad = 1\nduration = '2s'".to_owned(),
+        "kind = 'chirp'\nomega_end_rad_s = 3\nduration = '2s'".to_owned(),
+        "kind = 'circle'\ncentre_m = [0.5, -1.2]\nradius_m = 0.2".to_owned(),
+        format!("kind = 'waypoints'\nfile = '{}'", points.display()),
+    ];
+    let mut starts = Vec::new();
+    for motion in motions {
+        let scenario = accepted(&format!(
+            "[plant]\nlinks = 2\n[reference]\n{motion}
+            [[plant.disturbance]]\nkind = 'constant'\nvalue_nm = [1, 0]
+            [[plant.disturbance]]\nkind = 'step'\nvalue_nm = 2\nat = '1s'
+            [[plant.disturbance]]\nkind = 'sine'\namplitude_nm = 1\nomega_rad_s = 3
+            [[plant.disturbance]]\nkind = 'noise'\nrms_nm = 0.5\nlow_hz = 1\nhigh_hz = 10"
+        ));
+        starts.push(scenario.build_trajectory::<2>().unwrap_or_else(|error| panic!("{error}")).at(0.7));
+        let truth = scenario.build_truth::<2>().unwrap_or_else(|error| panic!("{error}"));
+        let jump = truth.disturbance(1.0) - truth.disturbance(1.0 - 1e-9);
+        // The step is the only part that is not continuous; the others move by at most 1e-9 times their slope.
+        assert!((jump[0] - 2.0).abs() < 1e-6 && (jump[1] - 2.0).abs() < 1e-6, "{jump}");
+    }
+    for (index, one) in starts.iter().enumerate() {
+        assert!(starts[..index].iter().all(|other| other != one), "two kinds give the same motion");
+    }
+}
+
+#[test]
+fn a_circle_out_of_reach_is_refused_under_its_section() {
+    let scenario = accepted("[reference]\nkind = 'circle'\ncentre_m = [5, 0]\nradius_m = 0.2");
+    let error = scenario.build_trajectory::<3>().expect_err("three metres do not reach five").to_string();
+    assert!(error.starts_with("`reference`: the circle takes the tip from"), "{error}");
+}
