@@ -118,7 +118,7 @@ impl Scenario {
             Motion::Sine { amplitude_rad, omega_rad_s } => {
                 Trajectory::Sine { amplitude_rad: array(key, &amplitude_rad)?, omega_rad_s: array(key, &omega_rad_s)? }
             }
-            Motion::MultiSine { terms } => {
+            Motion::MultiSine { offset_rad, terms } => {
                 let mut of_link: [Vec<SineTerm>; N] = std::array::from_fn(|_| Vec::new());
                 for (amplitude, omega, phase) in &terms {
                     let values: [[f64; N]; 3] = [array(key, amplitude)?, array(key, omega)?, array(key, phase)?];
@@ -127,7 +127,7 @@ impl Scenario {
                         list.push(SineTerm { amplitude_rad, omega_rad_s, phase_rad });
                     }
                 }
-                Trajectory::MultiSine { offset_rad: [0.0; N], terms: of_link }
+                Trajectory::MultiSine { offset_rad: array(key, &offset_rad)?, terms: of_link }
             }
             Motion::Quintic { from_rad, to_rad, at_s, duration_s } => Trajectory::Quintic {
                 from_rad: array(key, &from_rad)?,
@@ -141,8 +141,11 @@ impl Scenario {
                 omega_to_rad_s: omega_end_rad_s,
                 duration_s,
             },
-            Motion::Circle { centre_m, radius_m, omega_rad_s } => {
-                self.build_circle(centre_m, radius_m, omega_rad_s).map(Trajectory::Circle)?
+            Motion::Circle { centre_m, radius_m, omega_rad_s, phase_rad, elbow_positive } => {
+                let length_m = self.circle_lengths()?;
+                let parameters =
+                    CircleParameters { length_m, centre_m, radius_m, omega_rad_s, phase_rad, elbow_positive };
+                Trajectory::Circle(Circle::new(parameters).map_err(|error| refused(key, error))?)
             }
             Motion::Waypoints { file } => Waypoints::from_csv(&file)
                 .map(Trajectory::Waypoints)
@@ -152,22 +155,13 @@ impl Scenario {
         Ok(trajectory)
     }
 
-    /// A circle that starts on its right, with the elbow towards larger angles; it is planned with the nominal lengths.
-    fn build_circle<const N: usize>(
-        &self,
-        centre_m: [f64; 2],
-        radius_m: f64,
-        omega_rad_s: f64,
-    ) -> Result<Circle<N>, ScenarioError> {
-        let ChainSpec::Links { length_m, .. } = self.model_chain() else {
-            return Err(refused(
-                "reference.kind",
-                "found circle, allowed: any other kind beside a chain without lengths",
-            ));
-        };
-        let length_m = array("reference", &length_m)?;
-        let parameters =
-            CircleParameters { length_m, centre_m, radius_m, omega_rad_s, phase_rad: 0.0, elbow_positive: true };
-        Circle::new(parameters).map_err(|error| refused("reference", error))
+    /// The lengths with which a circle is planned: those of the nominal chain.
+    fn circle_lengths<const N: usize>(&self) -> Result<[f64; N], ScenarioError> {
+        match self.model_chain() {
+            ChainSpec::Links { length_m, .. } => array("reference", &length_m),
+            ChainSpec::Coefficients { .. } => {
+                Err(refused("reference.kind", "found circle, allowed: any other kind beside a chain without lengths"))
+            }
+        }
     }
 }
