@@ -6,6 +6,9 @@ use super::*;
 
 const CPUS: &str = "sys/devices/system/cpu";
 
+/// A key, the files that make it worse, and how bad that is.
+type Case<'a> = (&'a str, &'a [(&'a str, &'a str)], Status);
+
 /// A running system on which all is well.
 fn well() -> Live {
     Live {
@@ -76,7 +79,7 @@ fn a_tuned_machine_has_nothing_to_mend() {
 #[test]
 fn each_shortcoming_in_the_files_is_found_by_its_own_key() {
     let version = ("proc/version", "Linux version 6.18 #1 SMP PREEMPT_DYNAMIC\n");
-    let cases: &[(&str, &[(&str, &str)], Status)] = &[
+    let cases: &[Case<'_>] = &[
         ("governor", &[("sys/devices/system/cpu/cpu1/cpufreq/scaling_governor", "powersave\n")], Status::Warn),
         ("idle_states", &[("sys/devices/system/cpu/cpu0/cpuidle/state3/latency", "133\n")], Status::Warn),
         ("cores", &[("sys/devices/system/cpu/online", "0\n")], Status::Bad),
