@@ -140,6 +140,18 @@ fn what_was_refused_to_this_user_is_bad_and_names_the_command() {
 }
 
 #[test]
+fn in_a_container_the_commands_are_those_of_its_engine() {
+    let root = tuned();
+    write(root.path(), &[(".dockerenv", "")]);
+    let live = Live { fifo: Outcome::Refused(1), fifo_priority: 0, lockable_bytes: Some(0), ..well() };
+    let report = report(root.path(), &live);
+    for key in ["sched_fifo", "memory_lock"] {
+        let mend = finding(&report, key).mend.as_deref().unwrap();
+        assert!(mend.starts_with("docker run "), "{key}: {mend}");
+    }
+}
+
+#[test]
 fn a_latency_file_without_access_is_bad() {
     let root = tuned();
     let path = root.path().join("dev/cpu_dma_latency");
