@@ -2,8 +2,8 @@
 
 use loopbound_shared::chain::Vector;
 use loopbound_shared::law::{Law, LawInput, LawKind};
-use loopbound_shared::scenario::Scenario;
-use loopbound_shared::system::{self, SystemError};
+use loopbound_shared::scenario::{Scenario, ScenarioError};
+use loopbound_shared::system;
 
 use crate::{Claim, Controller, Input};
 
@@ -17,7 +17,7 @@ impl<const N: usize> Builtin<N> {
     ///
     /// # Errors
     /// If the scenario describes no system.
-    pub fn new(scenario: &Scenario, kind: LawKind) -> Result<Self, SystemError> {
+    pub fn new(scenario: &Scenario, kind: LawKind) -> Result<Self, ScenarioError> {
         Ok(Self { law: system::law(scenario, kind)? })
     }
 }

@@ -69,7 +69,7 @@ pub fn run(args: &RoleArgs, law: Option<LawKind>, stop: &'static AtomicBool) -> 
         law: LawKind,
         stop: &'static AtomicBool,
     ) -> Result<(), RoleError> {
-        let law = Builtin::<N>::new(scenario, law).map_err(|e| RoleError::Other(e.to_string()))?;
+        let law = Builtin::<N>::new(scenario, law)?;
         serve_until(law, args, stop)
     }
     let scenario = Scenario::load(&args.scenario)?;

@@ -12,9 +12,9 @@ use loopbound_shared::realtime::Evidence;
 use loopbound_shared::sample::{
     Command, Links, Reply, SEGMENTS_MAX, Segment, State, TickRecord, Torque, record_flag, to_links, to_vector,
 };
-use loopbound_shared::scenario::Scenario;
+use loopbound_shared::scenario::{Scenario, ScenarioError};
 use loopbound_shared::setpoints::SetpointBook;
-use loopbound_shared::system::{self, SystemError};
+use loopbound_shared::system;
 use loopbound_shared::truth::Truth;
 
 use crate::authority::{Applied, Authority};
@@ -71,10 +71,10 @@ impl<const N: usize> PlantCore<N> {
     ///
     /// # Errors
     /// If the scenario's chain or motion is none.
-    pub fn new(scenario: &Scenario, rests: bool) -> Result<Self, SystemError> {
-        let truth = system::truth::<N>(scenario)?;
+    pub fn new(scenario: &Scenario, rests: bool) -> Result<Self, ScenarioError> {
+        let truth = scenario.build_truth::<N>()?;
         let laws = Laws::new(scenario)?;
-        let state = system::start_state::<N>(scenario);
+        let state = scenario.build_start::<N>()?;
         Ok(Self {
             truth,
             laws,

@@ -8,8 +8,8 @@ use loopbound_shared::clock::seconds;
 use loopbound_shared::event::Decision;
 use loopbound_shared::law::LawKind;
 use loopbound_shared::sample::{Links, TickRecord};
-use loopbound_shared::scenario::Scenario;
-use loopbound_shared::system::{self, SystemError};
+use loopbound_shared::scenario::{Scenario, ScenarioError};
+use loopbound_shared::system;
 
 /// Below this speed of every link (rad/s) braking counts as a stop.
 const STOPPED_RAD_S: f64 = 1e-3;
@@ -33,13 +33,13 @@ pub(crate) struct Fallback<const N: usize> {
 }
 
 impl<const N: usize> Fallback<N> {
-    pub(crate) fn new(scenario: &Scenario) -> Result<Self, SystemError> {
+    pub(crate) fn new(scenario: &Scenario) -> Result<Self, ScenarioError> {
         let certificate = system::certificate_of::<N>(scenario, LawKind::Robust)?;
         let period_ns = scenario.period_ns();
         let damping = (DAMPING_SHARE * 2.0 * certificate.lambda_lo / seconds(period_ns)).min(DAMPING_MAX);
         Ok(Self {
             certificate,
-            model: system::nominal_chain(scenario)?,
+            model: scenario.build_model()?,
             damping,
             period_ns,
             ticks: 0,

@@ -8,8 +8,8 @@ use loopbound_shared::event::Role;
 use loopbound_shared::integrator::PlantState;
 use loopbound_shared::law::{LawInput, LawKind};
 use loopbound_shared::sample::{Announce, RECEIPTS_MAX, TickRecord, to_vector};
-use loopbound_shared::scenario::Scenario;
-use loopbound_shared::system::{self, SystemError};
+use loopbound_shared::scenario::{Scenario, ScenarioError};
+use loopbound_shared::system;
 use loopbound_shared::trajectory::SetpointValue;
 
 use crate::swap::Judge;
@@ -25,12 +25,12 @@ pub(crate) struct Laws<const N: usize> {
 }
 
 impl<const N: usize> Laws<N> {
-    pub(crate) fn new(scenario: &Scenario) -> Result<Self, SystemError> {
+    pub(crate) fn new(scenario: &Scenario) -> Result<Self, ScenarioError> {
         let mut certificates = [system::certificate_of::<N>(scenario, LawKind::Robust)?; LawKind::ALL.len()];
         for (place, law) in certificates.iter_mut().zip(LawKind::ALL) {
             *place = system::certificate_of::<N>(scenario, law)?;
         }
-        Ok(Self { true_chain: system::true_chain(scenario)?, certificates, claims: [None; RECEIPTS_MAX] })
+        Ok(Self { true_chain: scenario.build_truth()?.chain, certificates, claims: [None; RECEIPTS_MAX] })
     }
 
     /// A controller claims a law; only one whose gains are those of the scenario's certificate counts as it.

@@ -39,7 +39,7 @@ fn with<const N: usize>(args: &RoleArgs, stop: &'static AtomicBool) -> Result<()
     let request = role::realtime_request(&joined.scenario, Role::Plant);
     let mode = joined.scenario.loop_.mode;
     let core = PlantCore::<N>::new(&joined.scenario, mode == Mode::Realtime);
-    let mut core = core.map_err(|e| RoleError::Other(e.to_string()))?;
+    let mut core = core?;
     let ports = Ports::open(joined, args.id)?;
     let mut entered = privileges::enter(&request);
     entered.populate_shared(&[ports.joined.group.prefix().as_str()]);

@@ -13,8 +13,8 @@ use loopbound_shared::ports::Publisher;
 use loopbound_shared::realtime;
 use loopbound_shared::role::{self, Joined, RoleArgs, RoleError};
 use loopbound_shared::sample::{Announce, Setpoint, to_links};
-use loopbound_shared::scenario::{self, Mode, Scenario};
-use loopbound_shared::system::{self, SystemError};
+use loopbound_shared::scenario::{self, Mode, Scenario, ScenarioError};
+use loopbound_shared::system;
 use loopbound_shared::trajectory::Trajectory;
 use loopbound_shared::with_links;
 
@@ -35,9 +35,9 @@ impl<const N: usize> Generator<N> {
     ///
     /// # Errors
     /// If the scenario describes no motion.
-    pub fn new(scenario: &Scenario, id: u32) -> Result<Self, SystemError> {
+    pub fn new(scenario: &Scenario, id: u32) -> Result<Self, ScenarioError> {
         Ok(Self {
-            trajectory: system::trajectory(scenario)?,
+            trajectory: scenario.build_trajectory()?,
             faults: FaultPlan::for_target(scenario, scenario::Role::Reference, id),
             period_ns: scenario.period_ns(),
             id,
@@ -84,7 +84,7 @@ pub fn run(args: &RoleArgs, stop: &'static AtomicBool) -> Result<(), RoleError> 
 
 fn generate<const N: usize>(args: &RoleArgs, stop: &'static AtomicBool) -> Result<(), RoleError> {
     let joined = role::join(args)?;
-    let generator = Generator::<N>::new(&joined.scenario, args.id).map_err(|e| RoleError::Other(e.to_string()))?;
+    let generator = Generator::<N>::new(&joined.scenario, args.id)?;
     let setpoints: Publisher<Setpoint> = joined.node.publisher()?;
     let announce: Publisher<Announce> = joined.node.publisher()?;
     let entered = realtime::enter(&realtime::Request::default());
