@@ -6,6 +6,7 @@
 pub mod bound;
 pub mod clean;
 pub mod cli;
+pub mod doctor;
 pub mod exit;
 pub mod model;
 pub mod pages;
