@@ -10,7 +10,7 @@ use loopbound_shared::role::RoleArgs;
 use loopbound_shared::scenario::{LawKind, Mode, Scenario, Wakeup, parse_duration, parse_rate};
 
 use crate::exit::Exit;
-use crate::{bound, clean, model, pages, ps, roles, run};
+use crate::{bound, clean, doctor, model, pages, ps, roles, run};
 
 /// kHz control loops split across processes over shared memory: latency measured to the nanosecond, and a Lyapunov
 /// bound checked live.
@@ -47,6 +47,9 @@ Examples:
     /// List the running groups of this user and their processes.
     #[command(after_help = "Examples:\n  loopbound ps\n  loopbound ps --json")]
     Ps(JsonArgs),
+    /// Examine this machine: what will delay a loop here, what it costs, and the command that mends it.
+    #[command(after_help = "Examples:\n  loopbound doctor\n  loopbound doctor --json")]
+    Doctor(JsonArgs),
     /// Remove what killed groups left in shared memory; running groups are not touched.
     #[command(after_help = "Example:\n  loopbound clean")]
     Clean,
@@ -244,6 +247,7 @@ fn dispatch(command: Command) -> anyhow::Result<Exit> {
         Command::Run(args) => run::run(&args),
         Command::Monitor(args) => roles::monitor(args),
         Command::Ps(args) => ps::run(args.json),
+        Command::Doctor(args) => doctor(args.json),
         Command::Clean => clean::run(),
         Command::Bound(args) => bound::run(&args),
         Command::Model(args) => model::run(&args),
@@ -253,6 +257,17 @@ fn dispatch(command: Command) -> anyhow::Result<Exit> {
         Command::Controller(args) => roles::role(loopbound_controller::run, args.into_role()),
         Command::Reference(args) => roles::role(loopbound_reference::run, args.into_role()),
     }
+}
+
+fn doctor(json: bool) -> anyhow::Result<Exit> {
+    let report = doctor::examine();
+    let mut out = std::io::stdout().lock();
+    if json {
+        writeln!(out, "{}", serde_json::to_string(&report)?)?;
+    } else {
+        write!(out, "{}", doctor::render(&report))?;
+    }
+    Ok(Exit::Held)
 }
 
 #[cfg(test)]

@@ -52,6 +52,8 @@ pub struct Options<'a> {
     pub out: Option<PathBuf>,
     /// Shows how far the run is.
     pub progress: ProgressBar,
+    /// No notes while it runs.
+    pub quiet: bool,
     /// Whether and how to stop early.
     pub stop: &'a Stop,
 }
@@ -249,9 +251,9 @@ impl<'a> Supervisor<'a> {
     /// Sleeps until a child ends, at most `timeout_ns`.
     fn wait_for_an_end(&self, timeout_ns: u64) {
         let handles: Vec<_> = self.children.iter().filter_map(Child::handle).collect();
-        // One that has ended in order and waits for the plant's end is ready at once: the pause below bounds that.
+        // Without descriptors (an old kernel) it is a plain pause.
         if handles.is_empty() || wait_any_end(&handles, timeout_ns).is_err() {
-            clock::sleep_ns(timeout_ns.min(1_000_000));
+            clock::sleep_ns(timeout_ns.min(10_000_000));
         }
     }
 
@@ -436,7 +438,9 @@ impl<'a> Supervisor<'a> {
 
     /// Says something while the run goes on, above the progress bar.
     fn note(&self, line: &str) {
-        self.options.progress.suspend(|| eprintln!("loopbound: {line}"));
+        if !self.options.quiet {
+            self.options.progress.suspend(|| eprintln!("loopbound: {line}"));
+        }
     }
 
     fn record(&self, end: &End) -> Record {
