@@ -6,8 +6,9 @@ use std::process::ExitCode;
 
 use clap::{Args, CommandFactory as _, Parser, Subcommand};
 use clap_complete::Shell;
+use loopbound_shared::law::LawKind;
 use loopbound_shared::role::RoleArgs;
-use loopbound_shared::scenario::{LawKind, Mode, Scenario, Wakeup, parse_duration, parse_rate};
+use loopbound_shared::scenario::{Mode, Scenario, Wakeup, parse_duration, parse_rate};
 
 use crate::exit::Exit;
 use crate::{bound, clean, doctor, model, pages, ps, roles, run};
@@ -15,10 +16,15 @@ use crate::{bound, clean, doctor, model, pages, ps, roles, run};
 /// kHz control loops split across processes over shared memory: latency measured to the nanosecond, and a Lyapunov
 /// bound checked live.
 #[derive(Debug, Parser)]
-#[command(name = "loopbound", version, max_term_width = 100, after_help = "\
+#[command(
+    name = "loopbound",
+    version,
+    max_term_width = 100,
+    after_help = "\
 Exit codes: 0 held; 1 an expectation failed or the bound was violated other than by latency; 2 usage or scenario;
 3 inconclusive; 4 a swap was refused or rolled back; 5 a role died and was not recovered; 70 internal; 130 interrupted;
-143 terminated.")]
+143 terminated."
+)]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]
@@ -68,7 +74,9 @@ Keys of a line: q, v, tau, and optionally chain {mass, length, inertia, gravity}
 A line that can't be answered gets {\"error\": …} on its own line, and the exit code is 2.")]
     Model(model::ModelArgs),
     /// Print the completions of a shell.
-    #[command(after_help = "Example:\n  loopbound completions bash > ~/.local/share/bash-completion/completions/loopbound")]
+    #[command(
+        after_help = "Example:\n  loopbound completions bash > ~/.local/share/bash-completion/completions/loopbound"
+    )]
     Completions {
         /// Which shell.
         shell: Shell,
@@ -189,8 +197,8 @@ where
     move |text| parse(text).map(|_| text.to_owned()).map_err(|e| e.to_string())
 }
 
-fn word<T: std::str::FromStr<Err = String>>(text: &str) -> Result<T, String> {
-    text.parse()
+fn word<T: std::str::FromStr<Err: ToString>>(text: &str) -> Result<T, String> {
+    text.parse().map_err(|e: T::Err| e.to_string())
 }
 
 impl ScenarioArgs {

@@ -44,7 +44,8 @@ fn table(rosters: &[Roster]) -> String {
     if rosters.is_empty() {
         return "no group is running\n".to_owned();
     }
-    let mut text = format!("{:<20} {:<11} {:>3} {:>8}  {:<9} {:>8}\n", "GROUP", "ROLE", "ID", "PID", "STATE", "RESTARTS");
+    let mut text =
+        format!("{:<20} {:<11} {:>3} {:>8}  {:<9} {:>8}\n", "GROUP", "ROLE", "ID", "PID", "STATE", "RESTARTS");
     for roster in rosters {
         for p in &roster.processes {
             let line = format!(
@@ -77,8 +78,10 @@ mod tests {
         let mut child = std::process::Command::new("true").spawn().unwrap();
         let gone = child.id();
         child.wait().unwrap();
-        let written =
-            Roster { group: name.clone(), processes: vec![entry(std::process::id(), "active"), entry(gone, "standby")] };
+        let written = Roster {
+            group: name.clone(),
+            processes: vec![entry(std::process::id(), "active"), entry(gone, "standby")],
+        };
         std::fs::write(group.file(ROSTER_FILE), serde_json::to_vec(&written).unwrap()).unwrap();
         let states: Vec<String> = roster_of(&name).processes.into_iter().map(|p| p.state).collect();
         assert_eq!(states, ["active", "dead"]);

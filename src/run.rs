@@ -61,8 +61,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<Exit> {
 fn scenario(args: &RunArgs) -> anyhow::Result<Scenario> {
     let mut scenario = args.scenario.load()?;
     if let Some(path) = &args.expect {
-        let text = std::fs::read_to_string(path)
-            .map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
+        let text = std::fs::read_to_string(path).map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
         scenario.expect = ExpectSection::from_toml(&text, &path.display().to_string())?;
     }
     Ok(scenario)

@@ -31,8 +31,8 @@ use crate::signals::Stop;
 use child::Child;
 use record::privileges;
 pub use record::{Death, ProcessRecord, Record};
-pub use roster::{Entry, FILE as ROSTER_FILE, Roster};
 use roster::RosterFile;
+pub use roster::{Entry, FILE as ROSTER_FILE, Roster};
 use watchdog::Watchdog;
 
 /// Time for every process to become ready.
@@ -186,8 +186,7 @@ impl<'a> Supervisor<'a> {
                     return Some(End::NotStarted(not_started(child)));
                 }
             }
-            let missing: Vec<String> =
-                self.children.iter().filter(|c| !c.ready()).map(|c| c.process.name()).collect();
+            let missing: Vec<String> = self.children.iter().filter(|c| !c.ready()).map(|c| c.process.name()).collect();
             if missing.is_empty() {
                 self.ready_ns = clock::now_ns();
                 return None;
@@ -288,7 +287,9 @@ impl<'a> Supervisor<'a> {
     /// A process that was started again is ready: its predecessor's death is recovered.
     fn admit(&mut self, role: Role, id: u32) {
         let admitted = role != Role::Controller
-            || self.command(Command { kind: CommandKind::AddMember.code(), controller: id, ..Command::zeroed() }).is_ok();
+            || self
+                .command(Command { kind: CommandKind::AddMember.code(), controller: id, ..Command::zeroed() })
+                .is_ok();
         for death in self.deaths.iter_mut().filter(|d| d.role == role.name() && d.id == id) {
             death.recovered |= admitted;
         }
@@ -340,14 +341,7 @@ impl<'a> Supervisor<'a> {
         self.node.clean_up_dead_nodes();
         let tick = self.tick();
         let stands_in = role == Role::Controller && self.controllers().any(Child::ready);
-        self.deaths.push(Death {
-            role: role.to_string(),
-            id,
-            pid,
-            tick,
-            how: how.clone(),
-            recovered: stands_in,
-        });
+        self.deaths.push(Death { role: role.to_string(), id, pid, tick, how: how.clone(), recovered: stands_in });
         self.note(&format!("{name} (pid {pid}): {how} in tick {tick}"));
         match process.policy {
             Restart::End => return Some(End::Policy(format!("{name}: {how}"))),

@@ -32,11 +32,8 @@ impl Supervisor<'_> {
         let asked = matches!(end, End::Stopped(_) | End::Policy(_));
         if asked && self.ready_ns != 0 {
             // Without an answer the plant is terminated below, like whoever does not listen.
-            let _ = self.command(Command {
-                kind: CommandKind::StopAt.code(),
-                tick: self.tick() + 1,
-                ..Command::zeroed()
-            });
+            let _ =
+                self.command(Command { kind: CommandKind::StopAt.code(), tick: self.tick() + 1, ..Command::zeroed() });
         }
         if self.ready_ns != 0 {
             self.end_plant();
