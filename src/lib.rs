@@ -1,3 +1,18 @@
-//! x
+//! The launcher: starts a process group, supervises it, ends it in order, and reports.
+//!
+//! One executable is all there is to install: it starts itself in the roles of the group (`roles`). The launcher is
+//! never in the loop. It alone commands the plant and cleans up after the dead.
 
+pub mod bound;
+pub mod clean;
+pub mod cli;
 pub mod doctor;
+pub mod exit;
+pub mod model;
+pub mod pages;
+pub mod processes;
+pub mod ps;
+pub mod roles;
+pub mod run;
+pub mod signals;
+pub mod supervise;

@@ -1,0 +1,330 @@
+//! The command line: what may be written, and which module does it.
+
+use std::io::Write as _;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Args, CommandFactory as _, Parser, Subcommand};
+use clap_complete::Shell;
+use loopbound_shared::law::LawKind;
+use loopbound_shared::role::RoleArgs;
+use loopbound_shared::scenario::{Mode, Scenario, Wakeup, parse_duration, parse_rate};
+
+use crate::exit::Exit;
+use crate::{bound, clean, doctor, model, pages, ps, roles, run};
+
+/// kHz control loops split across processes over shared memory: latency measured to the nanosecond, and a Lyapunov
+/// bound checked live.
+#[derive(Debug, Parser)]
+#[command(
+    name = "loopbound",
+    version,
+    max_term_width = 100,
+    after_help = "\
+Exit codes: 0 held; 1 an expectation failed or the bound was violated other than by latency; 2 usage or scenario;
+3 inconclusive; 4 a swap was refused or rolled back; 5 a role died and was not recovered; 70 internal; 130 interrupted;
+143 terminated."
+)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// The subcommands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Start a process group, supervise it to its end, and report on one screen.
+    #[command(after_help = "\
+Examples:
+  loopbound run                                        the paper's case, 1 kHz, 10 s
+  loopbound run --rate 2kHz --law ctc --duration 30s   another law, faster, longer
+  loopbound run --set plant.mass_error=0.1             any key of the scenario
+  loopbound run scenarios/ci.toml --json --out results one JSON document, and all files of the run
+  loopbound run --mode lockstep                        virtual time, as fast as the machine allows")]
+    Run(run::RunArgs),
+    /// Watch a running group; attach and detach at any time.
+    #[command(after_help = "\
+Examples:
+  loopbound monitor --group lb-4711                    until the group ends or Ctrl-C, then a report
+  loopbound monitor --group lb-4711 --duration 5s --json
+  loopbound monitor --group lb-4711 --out results")]
+    Monitor(MonitorArgs),
+    /// List the running groups of this user and their processes.
+    #[command(after_help = "Examples:\n  loopbound ps\n  loopbound ps --json")]
+    Ps(JsonArgs),
+    /// Examine this machine: what will delay a loop here, what it costs, and the command that mends it.
+    #[command(after_help = "Examples:\n  loopbound doctor\n  loopbound doctor --json")]
+    Doctor(JsonArgs),
+    /// Remove what killed groups left in shared memory; running groups are not touched.
+    #[command(after_help = "Example:\n  loopbound clean")]
+    Clean,
+    /// Print the certificate of a scenario without running it.
+    #[command(after_help = "\
+Examples:
+  loopbound bound
+  loopbound bound --law ctc --set controller.uncertainty.mass=0.1
+  loopbound bound scenarios/mismatch.toml --json")]
+    Bound(bound::BoundArgs),
+    /// Answer each line of JSON with M, C, G and the acceleration at that state.
+    #[command(after_help = "\
+Example:
+  echo '{\"q\":[0.3,-0.2,0.25],\"v\":[0,0,0],\"tau\":[0,0,0]}' | loopbound model
+Keys of a line: q, v, tau, and optionally chain {mass, length, inertia, gravity} or {a, b}; v and tau default to zero.
+A line that can't be answered gets {\"error\": …} on its own line, and the exit code is 2.")]
+    Model(model::ModelArgs),
+    /// Print the completions of a shell.
+    #[command(
+        after_help = "Example:\n  loopbound completions bash > ~/.local/share/bash-completion/completions/loopbound"
+    )]
+    Completions {
+        /// Which shell.
+        shell: Shell,
+    },
+    /// Print the manual page, or write those of all commands to a folder.
+    #[command(after_help = "Examples:\n  loopbound man | man -l -\n  loopbound man --out ~/.local/share/man/man1")]
+    Man {
+        /// Folder for loopbound.1, loopbound-run.1 …
+        #[arg(long, value_name = "DIR")]
+        out: Option<PathBuf>,
+    },
+    /// The plant's role, started by `run`.
+    #[command(hide = true)]
+    Plant(ChildArgs),
+    /// A controller's role, started by `run`.
+    #[command(hide = true)]
+    Controller(ChildArgs),
+    /// The reference's role, started by `run`.
+    #[command(hide = true)]
+    Reference(ChildArgs),
+}
+
+/// For commands whose only choice is the form of their output.
+#[derive(Debug, Args)]
+pub struct JsonArgs {
+    /// Print one JSON document and nothing else.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// How the launcher starts its children.
+#[derive(Debug, Args)]
+pub struct ChildArgs {
+    /// Name of the group.
+    #[arg(long)]
+    pub group: String,
+    /// Id within the group.
+    #[arg(long)]
+    pub id: u32,
+    /// The scenario with all defaults filled in.
+    #[arg(long)]
+    pub scenario: PathBuf,
+    /// The launcher: the child ends when it does.
+    #[arg(long)]
+    pub parent: Option<u32>,
+}
+
+impl ChildArgs {
+    /// As the role crates take it.
+    #[must_use]
+    pub fn into_role(self) -> RoleArgs {
+        RoleArgs { group: self.group, id: self.id, scenario: self.scenario, parent: self.parent }
+    }
+}
+
+/// `loopbound monitor`.
+#[derive(Debug, Args)]
+pub struct MonitorArgs {
+    /// Name of the group (see `loopbound ps`).
+    #[arg(long)]
+    pub group: String,
+    /// Folder for summary.json, samples.csv, histograms and events.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Print one JSON document instead of the report.
+    #[arg(long)]
+    pub json: bool,
+    /// How long to watch (such as 5s); default until the group ends.
+    #[arg(long, value_parser = parse_duration, value_name = "TIME")]
+    pub duration: Option<u64>,
+    /// The launcher's own monitor: it grants credit in lockstep and leaves its summary to the launcher.
+    #[arg(long, hide = true)]
+    pub managed: bool,
+    /// Id within the group.
+    #[arg(long, hide = true, default_value_t = 1)]
+    pub id: u32,
+    /// The scenario; default the group's.
+    #[arg(long, hide = true)]
+    pub scenario: Option<PathBuf>,
+    /// The launcher.
+    #[arg(long, hide = true)]
+    pub parent: Option<u32>,
+}
+
+/// A scenario and what the command line changes in it; shared by all commands that take one.
+#[derive(Debug, Default, Args)]
+pub struct ScenarioArgs {
+    /// Scenario file (TOML); default the paper's case.
+    pub scenario: Option<PathBuf>,
+    /// Length of the run, such as 10s.
+    #[arg(long, value_parser = checked::<u64, _>(parse_duration), value_name = "TIME")]
+    pub duration: Option<String>,
+    /// Ticks per second, such as 1kHz.
+    #[arg(long, value_parser = checked::<f64, _>(parse_rate), value_name = "RATE")]
+    pub rate: Option<String>,
+    /// realtime, or lockstep for virtual time.
+    #[arg(long, value_parser = word::<Mode>, value_name = "MODE")]
+    pub mode: Option<Mode>,
+    /// Control law: robust, robust-ff, ctc or pd+g.
+    #[arg(long, value_parser = word::<LawKind>, value_name = "LAW")]
+    pub law: Option<LawKind>,
+    /// How the loop waits: hybrid, block, spin or event.
+    #[arg(long, value_parser = word::<Wakeup>, value_name = "HOW")]
+    pub wakeup: Option<Wakeup>,
+    /// Set any key of the scenario, such as plant.gravity=1.62; may be repeated.
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+}
+
+/// Keeps the text, which goes into the scenario as it is, but refuses it here where the option can be named.
+fn checked<T, E: ToString>(
+    parse: fn(&str) -> Result<T, E>,
+) -> impl Fn(&str) -> Result<String, String> + Clone + Send + Sync + 'static
+where
+    T: 'static,
+    E: 'static,
+{
+    move |text| parse(text).map(|_| text.to_owned()).map_err(|e| e.to_string())
+}
+
+fn word<T: std::str::FromStr<Err: ToString>>(text: &str) -> Result<T, String> {
+    text.parse().map_err(|e: T::Err| e.to_string())
+}
+
+impl ScenarioArgs {
+    /// The options as settings of scenario keys, in the order in which they apply: `--set` has the last word.
+    #[must_use]
+    pub fn settings(&self) -> Vec<String> {
+        let mut settings = Vec::new();
+        let mut add = |key: &str, value: Option<String>| settings.extend(value.map(|v| format!("{key}={v}")));
+        add("loop.duration", self.duration.clone());
+        add("loop.rate", self.rate.clone());
+        add("loop.mode", self.mode.map(|m| m.to_string()));
+        add("loop.wakeup", self.wakeup.map(|w| w.to_string()));
+        add("controller.law", self.law.map(|l| l.to_string()));
+        settings.extend(self.set.iter().cloned());
+        settings
+    }
+
+    /// The scenario that is meant.
+    ///
+    /// # Errors
+    /// If the file can't be read, or a key or value is refused.
+    pub fn load(&self) -> anyhow::Result<Scenario> {
+        let scenario = match &self.scenario {
+            Some(path) => Scenario::load(path)?,
+            None => Scenario::default(),
+        };
+        Ok(scenario.with_sets(&self.settings())?)
+    }
+}
+
+/// Parses the command line, does it, and says how it went.
+#[must_use]
+pub fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => {
+            // Also help and version, which go to standard output with code 0.
+            let _ = error.print();
+            return if error.use_stderr() { Exit::Usage.into() } else { Exit::Held.into() };
+        }
+    };
+    match dispatch(cli.command) {
+        Ok(exit) => exit.into(),
+        Err(error) => {
+            // One line: the outermost says what was tried, the rest why it failed.
+            let _ = writeln!(std::io::stderr(), "loopbound: {error:#}");
+            Exit::of(&error).into()
+        }
+    }
+}
+
+fn dispatch(command: Command) -> anyhow::Result<Exit> {
+    match command {
+        Command::Run(args) => run::run(&args),
+        Command::Monitor(args) => roles::monitor(args),
+        Command::Ps(args) => ps::run(args.json),
+        Command::Doctor(args) => doctor(args.json),
+        Command::Clean => clean::run(),
+        Command::Bound(args) => bound::run(&args),
+        Command::Model(args) => model::run(&args),
+        Command::Completions { shell } => pages::completions(shell, &mut Cli::command()),
+        Command::Man { out } => pages::manual(out.as_deref(), Cli::command()),
+        Command::Plant(args) => roles::role(loopbound_plant::run, args.into_role()),
+        Command::Controller(args) => roles::role(loopbound_controller::run, args.into_role()),
+        Command::Reference(args) => roles::role(loopbound_reference::run, args.into_role()),
+    }
+}
+
+fn doctor(json: bool) -> anyhow::Result<Exit> {
+    let report = doctor::examine();
+    let mut out = std::io::stdout().lock();
+    if json {
+        writeln!(out, "{}", serde_json::to_string(&report)?)?;
+    } else {
+        write!(out, "{}", doctor::render(&report))?;
+    }
+    Ok(Exit::Held)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(line: &str) -> Result<Cli, clap::Error> {
+        Cli::try_parse_from(line.split_whitespace())
+    }
+
+    #[test]
+    fn the_definition_is_consistent_and_every_visible_command_shows_an_example() {
+        Cli::command().debug_assert();
+        for command in Cli::command().get_subcommands().filter(|c| !c.is_hide_set()) {
+            let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
+            assert!(help.contains("loopbound "), "{} has no example", command.get_name());
+        }
+    }
+
+    #[test]
+    fn what_can_not_be_parsed_ends_with_code_2_and_names_what_is_allowed() {
+        for (line, named) in [
+            ("loopbound run --rate 1", "--rate"),
+            ("loopbound run --duration -1s", "unexpected"),
+            ("loopbound run --duration 10", "--duration"),
+            ("loopbound run --law robst", "robust"),
+            ("loopbound run --mode fast", "lockstep"),
+            ("loopbound frobnicate", "frobnicate"),
+            ("loopbound monitor", "--group"),
+        ] {
+            let error = parse(line).unwrap_err();
+            assert_eq!(error.exit_code(), 2, "{line}");
+            assert!(error.to_string().contains(named), "{line}: {error}");
+        }
+    }
+
+    #[test]
+    fn options_become_settings_and_set_has_the_last_word() {
+        let cli = parse("loopbound run --set loop.rate=500Hz --rate 2kHz --mode lockstep --law pd+g").unwrap();
+        let Command::Run(args) = cli.command else { panic!("not run") };
+        let expected = ["loop.rate=2kHz", "loop.mode=lockstep", "controller.law=pd+g", "loop.rate=500Hz"];
+        assert_eq!(args.scenario.settings(), expected);
+    }
+
+    #[test]
+    fn a_role_is_started_as_the_launcher_writes_it() {
+        let cli = parse("loopbound plant --group g --id 1 --scenario s.toml --parent 7").unwrap();
+        let Command::Plant(args) = cli.command else { panic!("not plant") };
+        let role = args.into_role();
+        assert_eq!((role.group.as_str(), role.id, role.parent), ("g", 1, Some(7)));
+    }
+}

@@ -1,0 +1,52 @@
+//! The thin entries of the roles: signals become a flag, and the role's own crate does the rest.
+
+use std::sync::atomic::AtomicBool;
+
+use anyhow::Context as _;
+use loopbound_shared::realtime::die_with_parent;
+use loopbound_shared::role::{RoleArgs, RoleError};
+
+use crate::cli;
+use crate::exit::Exit;
+use crate::signals;
+
+/// Runs a role to its end.
+///
+/// # Errors
+/// The role's, or the system's.
+pub fn role(
+    run: impl FnOnce(&RoleArgs, &'static AtomicBool) -> Result<(), RoleError>,
+    args: RoleArgs,
+) -> anyhow::Result<Exit> {
+    let stop = begin(args.parent)?;
+    run(&args, stop)?;
+    Ok(Exit::Held)
+}
+
+/// First thing in a child: the launcher's death reaches it as SIGTERM, and SIGTERM is a flag by then.
+fn begin(parent: Option<u32>) -> anyhow::Result<&'static AtomicBool> {
+    let stop = signals::role_stop_flag().context("signals")?;
+    if let Some(parent) = parent {
+        die_with_parent(parent)?;
+    }
+    Ok(stop)
+}
+
+/// `loopbound monitor`: attached by a user, or managed by the launcher.
+///
+/// # Errors
+/// The monitor's, or the system's.
+pub fn monitor(args: cli::MonitorArgs) -> anyhow::Result<Exit> {
+    let stop = begin(args.parent)?;
+    let args = loopbound_monitor::MonitorArgs {
+        group: args.group,
+        id: args.id,
+        scenario: args.scenario,
+        out: args.out,
+        json: args.json,
+        managed: args.managed,
+        duration_ns: args.duration,
+    };
+    loopbound_monitor::run(&args, stop)?;
+    Ok(Exit::Held)
+}

@@ -1,0 +1,190 @@
+//! `loopbound run`: from a scenario to one screen.
+
+use std::io::{IsTerminal as _, Write as _};
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use loopbound_monitor::Summary;
+use loopbound_shared::scenario::{ExpectSection, Scenario};
+use serde_json::Value;
+
+use crate::cli::ScenarioArgs;
+use crate::exit::{Exit, Failure};
+use crate::signals::Stop;
+use crate::supervise::{self, Options, Outcome, Record};
+
+/// `loopbound run`.
+#[derive(Debug, Default, Args)]
+pub struct RunArgs {
+    /// What is run.
+    #[command(flatten)]
+    pub scenario: ScenarioArgs,
+    /// Name of the group; default one of its own.
+    #[arg(long, value_name = "NAME")]
+    pub group: Option<String>,
+    /// Folder for summary.json, samples.csv, histograms, events and the scenario.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Print one JSON document instead of the report.
+    #[arg(long)]
+    pub json: bool,
+    /// What the run must show (TOML), in place of the scenario's [expect].
+    #[arg(long, value_name = "FILE")]
+    pub expect: Option<PathBuf>,
+    /// No progress, no notes and no report: only files, the exit code and errors.
+    #[arg(long, short)]
+    pub quiet: bool,
+}
+
+/// Starts the group, waits for its end, and reports.
+///
+/// # Errors
+/// If the scenario or the group is refused, or the group could not start.
+pub fn run(args: &RunArgs) -> anyhow::Result<Exit> {
+    let scenario = scenario(args)?;
+    let out = args.out.as_deref().map(prepare_folder).transpose()?;
+    // From here on a signal ends the group in order.
+    let stop = Stop::install().context("signals")?;
+    let options = Options {
+        group: args.group.clone().unwrap_or_else(|| format!("lb-{}", std::process::id())),
+        out: out.clone(),
+        progress: progress(args, &scenario),
+        quiet: args.quiet,
+        stop: &stop,
+    };
+    let outcome = supervise::supervise(&scenario, &options)?;
+    report(args, out.as_deref(), outcome)
+}
+
+fn scenario(args: &RunArgs) -> anyhow::Result<Scenario> {
+    let mut scenario = args.scenario.load()?;
+    if let Some(path) = &args.expect {
+        let text = std::fs::read_to_string(path).map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
+        scenario.expect = ExpectSection::from_toml(&text, &path.display().to_string())?;
+    }
+    Ok(scenario)
+}
+
+/// Made before anything starts: a run whose files can't be written is better not begun.
+fn prepare_folder(folder: &Path) -> anyhow::Result<PathBuf> {
+    let fail = |e: std::io::Error| Failure::usage(format!("--out {}: {e}", folder.display()));
+    std::fs::create_dir_all(folder).map_err(fail)?;
+    Ok(folder.canonicalize().map_err(fail)?)
+}
+
+/// On a terminal only. Nothing when piped or with `--json`.
+fn progress(args: &RunArgs, scenario: &Scenario) -> ProgressBar {
+    if args.quiet || args.json || !std::io::stderr().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template("{bar:40} {percent:>3} %  tick {human_pos} of {human_len}  {elapsed}")
+        .unwrap_or_else(|_| ProgressStyle::default_bar());
+    ProgressBar::new(scenario.loop_.ticks()).with_style(style)
+}
+
+fn report(args: &RunArgs, out: Option<&Path>, outcome: Outcome) -> anyhow::Result<Exit> {
+    let Outcome { record, summary, stopped } = outcome;
+    let summary = summary.map(|value| complete(value, &record)).transpose()?;
+    if let (Some(folder), Some(summary)) = (out, &summary) {
+        let text = serde_json::to_string_pretty(summary)?;
+        supervise::write_whole(&folder.join("summary.json"), text.as_bytes()).context("summary.json")?;
+    }
+    let exit = exit_of(stopped, &record, summary.as_ref());
+    let mut stdout = std::io::stdout().lock();
+    match &summary {
+        Some(summary) if args.json => writeln!(stdout, "{}", serde_json::to_string_pretty(summary)?)?,
+        Some(summary) if !args.quiet => {
+            let colour = std::io::stdout().is_terminal();
+            write!(stdout, "{}", loopbound_monitor::render(summary, loopbound_monitor::WIDTH, colour))?;
+        }
+        // Whoever waits for a document gets one, even if the monitor could not write its part.
+        None if args.json => {
+            let nothing = serde_json::json!({"supervision": record, "verdict": {"status": "no data", "reasons": []}});
+            writeln!(stdout, "{}", serde_json::to_string_pretty(&nothing)?)?;
+        }
+        _ => {}
+    }
+    if !args.quiet {
+        for line in notes(&record, summary.is_some()) {
+            eprintln!("loopbound: {line}");
+        }
+    }
+    Ok(exit)
+}
+
+/// The monitor's summary with the launcher's part in it.
+fn complete(mut value: Value, record: &Record) -> anyhow::Result<Summary> {
+    value["supervision"] = serde_json::to_value(record)?;
+    serde_json::from_value(value).context("the monitor's summary")
+}
+
+/// What the report does not show: deaths, and what the processes said.
+fn notes(record: &Record, has_summary: bool) -> Vec<String> {
+    let mut notes = Vec::new();
+    if record.end != "done" {
+        notes.push(format!("the group ended early: {}", record.end));
+    }
+    for death in &record.deaths {
+        let recovered = if death.recovered { "recovered" } else { "not recovered" };
+        notes.push(format!("{} {} in tick {}: {}, {recovered}", death.role, death.id, death.tick, death.how));
+    }
+    for process in &record.processes {
+        notes.extend(process.said.iter().map(|line| format!("{} {}: {line}", process.role, process.id)));
+    }
+    if !has_summary {
+        notes.push("the monitor left no summary".to_owned());
+    }
+    notes
+}
+
+fn exit_of(stopped: Option<Exit>, record: &Record, summary: Option<&Summary>) -> Exit {
+    if let Some(exit) = stopped {
+        return exit;
+    }
+    if record.unrecovered().is_some() || summary.is_none() {
+        return Exit::RoleDied;
+    }
+    match summary.map(|s| s.verdict.status.as_str()) {
+        Some("violated" | "failed") => Exit::Failed,
+        Some("inconclusive" | "no data") => Exit::Inconclusive,
+        _ => Exit::Held,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::supervise::Death;
+
+    fn died(recovered: bool) -> Record {
+        let death =
+            Death { role: "controller".into(), id: 1, pid: 1, tick: 5, how: "killed (SIGKILL)".into(), recovered };
+        Record { end: "done".into(), deaths: vec![death], ..Record::default() }
+    }
+
+    fn judged(status: &str) -> Summary {
+        let mut summary = Summary::default();
+        summary.verdict.status = status.to_owned();
+        summary
+    }
+
+    #[test]
+    fn a_signal_outweighs_a_death_and_a_death_outweighs_the_verdict() {
+        let held = judged("held");
+        assert_eq!(exit_of(None, &Record::default(), Some(&held)), Exit::Held);
+        assert_eq!(exit_of(None, &Record::default(), Some(&judged("violated"))), Exit::Failed);
+        assert_eq!(exit_of(None, &Record::default(), Some(&judged("inconclusive"))), Exit::Inconclusive);
+        assert_eq!(exit_of(None, &died(true), Some(&held)), Exit::Held);
+        assert_eq!(exit_of(None, &died(false), Some(&held)), Exit::RoleDied);
+        assert_eq!(exit_of(None, &Record::default(), None), Exit::RoleDied);
+        assert_eq!(exit_of(Some(Exit::Interrupted), &died(false), None), Exit::Interrupted);
+    }
+
+    #[test]
+    fn an_unrecovered_death_is_named_with_its_tick() {
+        let notes = notes(&died(false), false);
+        assert!(notes[0].contains("controller 1 in tick 5: killed (SIGKILL), not recovered"), "{notes:?}");
+    }
+}

@@ -1,0 +1,55 @@
+//! Signals become flags that loops look at; nothing happens in a handler, and no thread waits for one.
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::SeqCst};
+
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+
+use crate::exit::Exit;
+
+/// The launcher's view: which signal asked it to stop.
+#[derive(Clone, Debug, Default)]
+pub struct Stop {
+    signal: Arc<AtomicUsize>,
+}
+
+impl Stop {
+    /// Catches Ctrl-C, SIGTERM and SIGHUP from here on.
+    ///
+    /// # Errors
+    /// If the system refuses.
+    pub fn install() -> io::Result<Self> {
+        let stop = Self::default();
+        for signal in [SIGINT, SIGTERM, SIGHUP] {
+            let number = usize::try_from(signal).unwrap_or(0);
+            signal_hook::flag::register_usize(signal, Arc::clone(&stop.signal), number)?;
+        }
+        Ok(stop)
+    }
+
+    /// Whether to stop, and with which exit code.
+    #[must_use]
+    pub fn requested(&self) -> Option<Exit> {
+        let interrupt = usize::try_from(SIGINT).unwrap_or(0);
+        match self.signal.load(SeqCst) {
+            0 => None,
+            signal if signal == interrupt => Some(Exit::Interrupted),
+            _ => Some(Exit::Terminated),
+        }
+    }
+}
+
+/// A role's view: one flag, which its loop looks at every tick.
+///
+/// # Errors
+/// If the system refuses.
+pub fn role_stop_flag() -> io::Result<&'static AtomicBool> {
+    let flag = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM, SIGHUP] {
+        signal_hook::flag::register(signal, Arc::clone(&flag))?;
+    }
+    // It lives as long as the handlers, which are never taken back.
+    let kept: &'static Arc<AtomicBool> = Box::leak(Box::new(flag));
+    Ok(kept)
+}

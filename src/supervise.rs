@@ -1,0 +1,490 @@
+//! The supervisor: makes the group, starts its processes, commands the plant, notices who dies, ends all in order.
+//!
+//! Responsible for the life of the processes and for nothing in the loop: it looks every 50 ms, and the plant alone
+//! decides who is obeyed. Every wait here has an end, so a dead partner never hangs a run. All children are started
+//! on the thread that calls [`supervise`] and are gone when it returns, however it returns.
+
+mod child;
+mod ending;
+mod record;
+mod roster;
+mod watchdog;
+
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering::SeqCst;
+
+use anyhow::Context as _;
+use indicatif::ProgressBar;
+use loopbound_shared::clock;
+use loopbound_shared::doorbell::{Bell, ControlBlock};
+use loopbound_shared::event::{self, CommandKind, Phase, Refusal, ReplyKind};
+use loopbound_shared::group::Group;
+use loopbound_shared::ports::{CommandClient, Node, Subscriber};
+use loopbound_shared::realtime::wait_any_end;
+use loopbound_shared::sample::{Announce, Command, Reply, State, Torque};
+use loopbound_shared::scenario::{Mode, Restart, Role, Scenario};
+
+use crate::exit::{Exit, Failure};
+use crate::processes::{self, Process};
+use crate::signals::Stop;
+use child::Child;
+use record::privileges;
+pub use record::{Death, ProcessRecord, Record};
+use roster::RosterFile;
+pub use roster::{Entry, FILE as ROSTER_FILE, Roster};
+use watchdog::Watchdog;
+
+/// Time for every process to become ready.
+const READY_NS: u64 = 10_000_000_000;
+/// Interval between two looks at a running group.
+const LOOK_NS: u64 = 50_000_000;
+/// A role that ends in order within this time before the plant ended with it.
+const TOGETHER_NS: u64 = 500_000_000;
+/// Time for the plant to answer a command, besides two of its periods.
+const ANSWER_NS: u64 = 1_000_000_000;
+
+/// How a group is run, besides its scenario.
+pub struct Options<'a> {
+    /// Name of the group.
+    pub group: String,
+    /// Where the files of the run go.
+    pub out: Option<PathBuf>,
+    /// Shows how far the run is.
+    pub progress: ProgressBar,
+    /// No notes while it runs.
+    pub quiet: bool,
+    /// Whether and how to stop early.
+    pub stop: &'a Stop,
+}
+
+/// What came of a run.
+#[derive(Debug)]
+pub struct Outcome {
+    /// What the launcher knows.
+    pub record: Record,
+    /// The monitor's summary, if it left one.
+    pub summary: Option<serde_json::Value>,
+    /// The signal that ended the run early, as an exit code.
+    pub stopped: Option<Exit>,
+}
+
+/// Why the group ends.
+#[derive(Debug)]
+enum End {
+    /// The plant has done its ticks.
+    Done,
+    /// A signal.
+    Stopped(Exit),
+    /// The plant died.
+    PlantDied,
+    /// A role died whose policy is to end the group.
+    Policy(String),
+    /// Not all became ready, or the plant refused to start.
+    NotStarted(Failure),
+}
+
+/// A process that is to be started again.
+struct Due {
+    process: Process,
+    restarts: u32,
+    at_ns: u64,
+}
+
+/// The group as its supervisor holds it. Fields are dropped in this order: children first, the group's lock last.
+struct Supervisor<'a> {
+    children: Vec<Child>,
+    scenario: &'a Scenario,
+    options: &'a Options<'a>,
+    commands: CommandClient,
+    announcements: Subscriber<Announce>,
+    states: Subscriber<State>,
+    /// Lockstep: who has answered which tick, to know whom the plant waits for.
+    torques: Option<Subscriber<Torque>>,
+    answered: Vec<(u32, u64)>,
+    due: VecDeque<Due>,
+    deaths: Vec<Death>,
+    roster: RosterFile,
+    /// The controller in charge, 0 before the start.
+    active: u32,
+    started_ns: u64,
+    ready_ns: u64,
+    block: ControlBlock,
+    node: Node,
+    group: Group,
+}
+
+/// Runs `scenario` as a group of processes to its end.
+///
+/// # Errors
+/// If the group can't be made (then nothing was started), or did not start (then nothing is left of it).
+pub fn supervise(scenario: &Scenario, options: &Options<'_>) -> anyhow::Result<Outcome> {
+    let mut supervisor = Supervisor::create(scenario, options)?;
+    let file = supervisor.group.file("scenario.toml");
+    for process in processes::table(scenario, &file, options.out.as_deref()) {
+        let child = Child::start(process, &supervisor.group, 0)?;
+        supervisor.children.push(child);
+    }
+    let end = match supervisor.wait_until_ready() {
+        None => supervisor.run(),
+        Some(end) => end,
+    };
+    options.progress.finish_and_clear();
+    supervisor.finish(end)
+}
+
+impl<'a> Supervisor<'a> {
+    fn create(scenario: &'a Scenario, options: &'a Options<'a>) -> anyhow::Result<Self> {
+        let group = Group::create(&options.group)?;
+        write_whole(&group.file("scenario.toml"), scenario.to_toml()?.as_bytes()).context("the group's scenario")?;
+        let block = ControlBlock::create(&group.file("bell")).context("the group's control block")?;
+        let node = Node::open(&group)?;
+        let lockstep = scenario.loop_.mode == Mode::Lockstep;
+        Ok(Self {
+            children: Vec::new(),
+            scenario,
+            options,
+            commands: node.command_client()?,
+            announcements: node.subscriber(64)?,
+            states: node.subscriber(1)?,
+            torques: lockstep.then(|| node.subscriber(1)).transpose()?,
+            answered: Vec::new(),
+            due: VecDeque::new(),
+            deaths: Vec::new(),
+            roster: RosterFile::new(&group),
+            active: 0,
+            started_ns: clock::now_ns(),
+            ready_ns: 0,
+            block,
+            node,
+            group,
+        })
+    }
+
+    fn lockstep(&self) -> bool {
+        self.torques.is_some()
+    }
+
+    fn tick(&self) -> u64 {
+        self.block.pace().plant_tick.load(SeqCst)
+    }
+
+    fn plant_ended(&self) -> bool {
+        self.block.pace().plant_ended.load(SeqCst) != 0
+    }
+
+    /// `None` when all are ready.
+    fn wait_until_ready(&mut self) -> Option<End> {
+        let until_ns = self.started_ns + READY_NS;
+        loop {
+            self.listen();
+            if let Some(exit) = self.options.stop.requested() {
+                return Some(End::Stopped(exit));
+            }
+            for child in &mut self.children {
+                if child.reap() {
+                    return Some(End::NotStarted(not_started(child)));
+                }
+            }
+            let missing: Vec<String> = self.children.iter().filter(|c| !c.ready()).map(|c| c.process.name()).collect();
+            if missing.is_empty() {
+                self.ready_ns = clock::now_ns();
+                return None;
+            }
+            if clock::now_ns() >= until_ns {
+                let message = format!("not ready within {} s: {}", READY_NS / clock::NS_PER_S, missing.join(", "));
+                return Some(End::NotStarted(Failure { exit: Exit::RoleDied, message }));
+            }
+            clock::sleep_ns(1_000_000);
+        }
+    }
+
+    /// Gives the plant its members and its clock, then watches until the end.
+    fn run(&mut self) -> End {
+        let ids: Vec<u32> = self.controllers().map(|c| c.process.id).collect();
+        let first = ids.first().copied().unwrap_or(1);
+        let start = ids
+            .into_iter()
+            .map(|id| Command { kind: CommandKind::AddMember.code(), controller: id, ..Command::zeroed() })
+            .chain([Command {
+                kind: CommandKind::Start.code(),
+                controller: first,
+                tick: self.scenario.loop_.ticks(),
+                ..Command::zeroed()
+            }]);
+        for command in start {
+            if let Err(why) = self.command(command) {
+                let message = format!("the plant did not start: {why}");
+                return End::NotStarted(Failure { exit: Exit::Internal, message });
+            }
+        }
+        self.active = first;
+        self.watch()
+    }
+
+    fn controllers(&self) -> impl Iterator<Item = &Child> {
+        self.children.iter().filter(|c| c.process.role == Role::Controller)
+    }
+
+    /// Looks every 50 ms, and at once when a process ends.
+    fn watch(&mut self) -> End {
+        let period_ns = if self.lockstep() { 0 } else { self.scenario.period_ns() };
+        let mut watchdog = Watchdog::new(clock::now_ns(), period_ns);
+        loop {
+            self.wait_for_an_end(LOOK_NS);
+            self.listen();
+            if let Some(exit) = self.options.stop.requested() {
+                return End::Stopped(exit);
+            }
+            if let Some(end) = self.settle_deaths() {
+                return end;
+            }
+            self.start_due();
+            self.options.progress.set_position(self.tick());
+            if watchdog.stalled(clock::now_ns(), self.tick()) {
+                self.kill_who_is_silent();
+            }
+        }
+    }
+
+    /// Sleeps until a child ends, at most `timeout_ns`.
+    fn wait_for_an_end(&self, timeout_ns: u64) {
+        let handles: Vec<_> = self.children.iter().filter_map(Child::handle).collect();
+        // Without descriptors (an old kernel) it is a plain pause.
+        if handles.is_empty() || wait_any_end(&handles, timeout_ns).is_err() {
+            clock::sleep_ns(timeout_ns.min(10_000_000));
+        }
+    }
+
+    /// Hears announcements, states and, in lockstep, torques; keeps the roster.
+    fn listen(&mut self) {
+        while let Some(announce) = self.announcements.take() {
+            if announce.phase != Phase::Ready.code() {
+                continue;
+            }
+            let Some(child) = self.children.iter_mut().find(|c| c.pid == announce.pid) else { continue };
+            let again = child.announce.is_none() && child.restarts > 0;
+            child.announce = Some(announce);
+            let (role, id) = (child.process.role, child.process.id);
+            if again {
+                self.admit(role, id);
+            }
+        }
+        if let Some(state) = self.states.latest() {
+            self.active = state.active;
+        }
+        if let Some(torques) = &self.torques {
+            while let Some((writer, tick)) = torques.take_with(|t| (t.writer, t.tick)) {
+                match self.answered.iter_mut().find(|(id, _)| *id == writer) {
+                    Some(entry) => entry.1 = entry.1.max(tick),
+                    None => self.answered.push((writer, tick)),
+                }
+            }
+        }
+        self.roster.update(roster::roster(self.group.name(), &self.children, self.active));
+    }
+
+    /// A process that was started again is ready: its predecessor's death is recovered.
+    fn admit(&mut self, role: Role, id: u32) {
+        let admitted = role != Role::Controller
+            || self
+                .command(Command { kind: CommandKind::AddMember.code(), controller: id, ..Command::zeroed() })
+                .is_ok();
+        for death in self.deaths.iter_mut().filter(|d| d.role == role.name() && d.id == id) {
+            death.recovered |= admitted;
+        }
+    }
+
+    /// Deals with everyone that has ended since the last look. Some: so has the group.
+    fn settle_deaths(&mut self) -> Option<End> {
+        for child in &mut self.children {
+            child.reap();
+        }
+        let plant = self.children.iter().find(|c| c.process.role == Role::Plant)?;
+        if let Some((status, _)) = plant.ended {
+            return Some(if status.success() { End::Done } else { End::PlantDied });
+        }
+        if self.plant_ended() {
+            return Some(End::Done);
+        }
+        let now_ns = clock::now_ns();
+        let died = |child: &Child| {
+            // Whoever ends in order has probably seen the last state, and the plant is about to end too.
+            child.ended.is_some_and(|(status, at_ns)| !status.success() || now_ns >= at_ns + TOGETHER_NS)
+        };
+        while let Some(index) = self.children.iter().position(|c| !c.settled && died(c)) {
+            self.children[index].settled = true;
+            if let Some(end) = self.settle_death(index) {
+                return Some(end);
+            }
+        }
+        None
+    }
+
+    fn settle_death(&mut self, index: usize) -> Option<End> {
+        let child = &self.children[index];
+        let (role, id, pid, restarts) = (child.process.role, child.process.id, child.pid, child.restarts);
+        let (name, how, process) = (child.process.name(), child.how_ended(), child.process.clone());
+        match role {
+            // In lockstep the plant waits for this very command.
+            Role::Controller => {
+                let remove = Command { kind: CommandKind::RemoveMember.code(), controller: id, ..Command::zeroed() };
+                if let Err(why) = self.command(remove) {
+                    self.note(&format!("{name}: {why}"));
+                }
+            }
+            // Nobody takes the records any more: the plant need not wait for that.
+            Role::Monitor => self.grant_all_credit(),
+            Role::Plant | Role::Reference => {}
+        }
+        self.block.clear_place_of(pid);
+        self.node.clean_up_dead_nodes();
+        let tick = self.tick();
+        let stands_in = role == Role::Controller && self.controllers().any(Child::ready);
+        self.deaths.push(Death { role: role.to_string(), id, pid, tick, how: how.clone(), recovered: stands_in });
+        self.note(&format!("{name} (pid {pid}): {how} in tick {tick}"));
+        match process.policy {
+            Restart::End => return Some(End::Policy(format!("{name}: {how}"))),
+            Restart::Ignore => {}
+            Restart::Restart => self.plan_restart(process, restarts),
+        }
+        None
+    }
+
+    /// Notes when to start it again, twice as late each time. In lockstep a controller is not: the tick in which it
+    /// would be back depends on the machine, and runs would differ.
+    fn plan_restart(&mut self, process: Process, restarts: u32) {
+        let section = &self.scenario.supervisor;
+        let given_up = restarts >= section.restarts_max;
+        if given_up || (self.lockstep() && process.role == Role::Controller) {
+            return;
+        }
+        let doubled = section.back_off.ns().saturating_mul(1 << restarts.min(30));
+        let at_ns = clock::now_ns().saturating_add(doubled.min(section.back_off_max.ns()));
+        self.due.push_back(Due { process, restarts: restarts + 1, at_ns });
+    }
+
+    fn start_due(&mut self) {
+        for _ in 0..self.due.len() {
+            let Some(due) = self.due.pop_front() else { return };
+            if due.at_ns > clock::now_ns() {
+                self.due.push_back(due);
+                continue;
+            }
+            let same = |c: &Child| c.process.role == due.process.role && c.process.id == due.process.id;
+            match Child::start(due.process.clone(), &self.group, due.restarts) {
+                Ok(child) => {
+                    self.children.retain(|c| !same(c));
+                    self.children.push(child);
+                }
+                Err(why) => {
+                    self.note(&format!("{why:#}"));
+                    self.plan_restart(due.process, due.restarts);
+                }
+            }
+        }
+    }
+
+    fn grant_all_credit(&self) {
+        self.block.pace().credit.store(u64::MAX, SeqCst);
+        self.block.ring(Bell::Pace);
+    }
+
+    /// The plant's tick has stood for two seconds: kills whom it waits for, by evidence first, else by elimination.
+    fn kill_who_is_silent(&mut self) {
+        let tick = self.tick();
+        let unanswered = |c: &&Child| {
+            let last = self.answered.iter().find(|(id, _)| *id == c.process.id).map(|(_, tick)| *tick);
+            c.process.role == Role::Controller && c.ready() && last.is_none_or(|last| last < tick)
+        };
+        let starved = self.block.pace().credit.load(SeqCst) <= tick;
+        let living = |role: Role| self.children.iter().find(move |c| c.process.role == role && c.lives());
+        let silent = if self.lockstep() {
+            let controller = self.children.iter().find(unanswered);
+            controller.or(living(Role::Monitor).filter(|_| starved)).or(living(Role::Reference)).or(living(Role::Plant))
+        } else {
+            // In realtime the plant waits for nobody.
+            living(Role::Plant)
+        };
+        if let Some(child) = silent {
+            child.kill();
+            self.note(&format!("{} is silent in tick {tick}: killed", child.process.name()));
+        }
+    }
+
+    /// Asks the plant for something; an error says why it was not done.
+    fn command(&self, command: Command) -> Result<Reply, String> {
+        let plant_lives = self.children.iter().any(|c| c.process.role == Role::Plant && c.lives());
+        if !plant_lives || self.plant_ended() {
+            return Err("the plant has ended".to_owned());
+        }
+        let timeout_ns = ANSWER_NS + 2 * self.scenario.period_ns();
+        let reply = self.commands.ask(command, timeout_ns).map_err(|e| e.to_string())?;
+        match ReplyKind::from_code(reply.kind) {
+            Some(ReplyKind::Done | ReplyKind::Pending) => Ok(reply),
+            _ => {
+                let kind = event::CommandKind::from_code(command.kind).map_or("command", event::CommandKind::name);
+                let reason = Refusal::from_code(reply.reason).map_or("no reason given", Refusal::name);
+                Err(format!("{kind}: {reason}"))
+            }
+        }
+    }
+
+    /// Says something while the run goes on, above the progress bar.
+    fn note(&self, line: &str) {
+        if !self.options.quiet {
+            self.options.progress.suspend(|| eprintln!("loopbound: {line}"));
+        }
+    }
+
+    fn record(&self, end: &End) -> Record {
+        let process = |child: &Child| ProcessRecord {
+            role: child.process.role.to_string(),
+            id: child.process.id,
+            pid: child.pid,
+            restarts: child.restarts,
+            end: child.how_ended(),
+            privileges: child.announce.as_ref().map(|a| privileges(&a.privileges)).unwrap_or_default(),
+            said: child.said(),
+        };
+        Record {
+            group: self.group.name().to_owned(),
+            start_up_ns: self.ready_ns.saturating_sub(self.started_ns),
+            end: end.to_string(),
+            processes: self.children.iter().map(process).collect(),
+            deaths: self.deaths.clone(),
+        }
+    }
+}
+
+fn not_started(child: &Child) -> Failure {
+    let usage = child.ended.is_some_and(|(status, _)| status.code() == Some(i32::from(Exit::Usage.code())));
+    let said = child.said();
+    let why = if said.is_empty() { child.how_ended() } else { said.join("\n  ") };
+    Failure {
+        exit: if usage { Exit::Usage } else { Exit::RoleDied },
+        message: format!("{} did not start: {why}", child.process.name()),
+    }
+}
+
+impl std::fmt::Display for End {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Done => f.write_str("done"),
+            Self::Stopped(Exit::Interrupted) => f.write_str("interrupted"),
+            Self::Stopped(_) => f.write_str("terminated"),
+            Self::PlantDied => f.write_str("the plant died"),
+            Self::Policy(who) => write!(f, "ended by policy: {who}"),
+            Self::NotStarted(failure) => write!(f, "{failure}"),
+        }
+    }
+}
+
+/// Writes a whole file or nothing: a reader finds the old one or the new one.
+pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    let mut name = path.file_name().unwrap_or_default().to_owned();
+    name.push(".new");
+    let new = path.with_file_name(name);
+    std::fs::write(&new, bytes)?;
+    std::fs::rename(&new, path)
+}

@@ -1,0 +1,150 @@
+//! One child process: started, watched by descriptor, reaped, and never left behind.
+
+use std::fs::{self, File};
+use std::os::unix::process::ExitStatusExt as _;
+use std::path::PathBuf;
+use std::process::ExitStatus;
+
+use anyhow::Context as _;
+use loopbound_shared::clock;
+use loopbound_shared::group::Group;
+use loopbound_shared::realtime::{ProcessHandle, Signal};
+use loopbound_shared::sample::Announce;
+
+use crate::exit::Failure;
+use crate::processes::Process;
+
+/// Lines of a child's own words that a report quotes.
+const QUOTED_LINES_MAX: usize = 20;
+
+/// A started process.
+pub(super) struct Child {
+    pub(super) process: Process,
+    pub(super) pid: u32,
+    /// Its latest announcement; none before it is ready.
+    pub(super) announce: Option<Announce>,
+    /// How and when it ended.
+    pub(super) ended: Option<(ExitStatus, u64)>,
+    /// How often it was started before.
+    pub(super) restarts: u32,
+    /// Whether its end has been dealt with.
+    pub(super) settled: bool,
+    child: std::process::Child,
+    /// None where the kernel has no such descriptors: then it is polled.
+    handle: Option<ProcessHandle>,
+    log: PathBuf,
+}
+
+impl Child {
+    /// Starts `process`. To be called on the launcher's main thread: the kernel ends a child when the *thread* that
+    /// started it does.
+    pub(super) fn start(process: Process, group: &Group, restarts: u32) -> anyhow::Result<Self> {
+        let log = group.file(&format!("{}.log", process.file_stem()));
+        let file = File::options().create(true).append(true).open(&log).with_context(|| log.display().to_string())?;
+        let mut command = process.command(group.name(), file).context("starting a process")?;
+        let child = command.spawn().map_err(|e| match &process.exe {
+            Some(exe) => Failure::usage(format!("{}: {} can't be started: {e}", process.name(), exe.display())).into(),
+            None => anyhow::Error::new(e).context(format!("{} can't be started", process.name())),
+        })?;
+        let pid = child.id();
+        let handle = ProcessHandle::open(pid).ok();
+        Ok(Self { process, pid, announce: None, ended: None, restarts, settled: false, child, handle, log })
+    }
+
+    /// Looks whether it has ended, and reaps it if so.
+    pub(super) fn reap(&mut self) -> bool {
+        // An error means that it is no child of ours any more: nothing is left to wait for.
+        if self.ended.is_none()
+            && let Some(status) = self.child.try_wait().unwrap_or_else(|_| Some(ExitStatus::from_raw(0)))
+        {
+            self.ended = Some((status, clock::now_ns()));
+        }
+        self.ended.is_some()
+    }
+
+    pub(super) fn lives(&self) -> bool {
+        self.ended.is_none()
+    }
+
+    pub(super) fn ready(&self) -> bool {
+        self.lives() && self.announce.is_some()
+    }
+
+    pub(super) fn handle(&self) -> Option<&ProcessHandle> {
+        self.handle.as_ref().filter(|_| self.lives())
+    }
+
+    /// Asks it to end.
+    pub(super) fn terminate(&self) {
+        self.signal(Signal::TERM);
+    }
+
+    /// Ends it.
+    pub(super) fn kill(&self) {
+        self.signal(Signal::KILL);
+    }
+
+    fn signal(&self, signal: Signal) {
+        if !self.lives() {
+            return;
+        }
+        // It may end between the look and the signal; until it is reaped its process id can't mean another.
+        let _ = match (&self.handle, i32::try_from(self.pid).ok().and_then(rustix::process::Pid::from_raw)) {
+            (Some(handle), _) => handle.signal(signal),
+            (None, Some(pid)) => rustix::process::kill_process(pid, signal).map_err(Into::into),
+            (None, None) => Ok(()),
+        };
+    }
+
+    /// What it said, by lines; the last ones if it said much.
+    pub(super) fn said(&self) -> Vec<String> {
+        let bytes = fs::read(&self.log).unwrap_or_default();
+        let text = String::from_utf8_lossy(&bytes);
+        let lines: Vec<&str> = text.lines().filter(|line| !line.trim().is_empty()).collect();
+        let from = lines.len().saturating_sub(QUOTED_LINES_MAX);
+        lines[from..].iter().map(|line| line.strip_prefix("loopbound: ").unwrap_or(line).to_owned()).collect()
+    }
+
+    /// How it ended, in words.
+    pub(super) fn how_ended(&self) -> String {
+        self.ended.map_or_else(|| "running".to_owned(), |(status, _)| describe(status))
+    }
+}
+
+impl Drop for Child {
+    fn drop(&mut self) {
+        // Only on a way out by an error: the ordinary end has reaped everyone.
+        if !self.reap() {
+            self.kill();
+            let _ = self.child.wait();
+        }
+    }
+}
+
+/// How a process ended, in words.
+pub(super) fn describe(status: ExitStatus) -> String {
+    match (status.code(), status.signal()) {
+        (Some(0), _) => "ended in order".to_owned(),
+        (Some(code), _) => format!("exit code {code}"),
+        (None, Some(9)) => "killed (SIGKILL)".to_owned(),
+        (None, Some(11)) => "crashed (SIGSEGV)".to_owned(),
+        (None, Some(7)) => "crashed (SIGBUS)".to_owned(),
+        (None, Some(6)) => "aborted (SIGABRT)".to_owned(),
+        (None, Some(15)) => "terminated (SIGTERM)".to_owned(),
+        (None, Some(24)) => "ran away (SIGXCPU)".to_owned(),
+        (None, signal) => format!("signal {}", signal.unwrap_or(0)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_end_is_named_by_its_code_or_signal() {
+        assert_eq!(describe(ExitStatus::from_raw(0)), "ended in order");
+        assert_eq!(describe(ExitStatus::from_raw(2 << 8)), "exit code 2");
+        assert_eq!(describe(ExitStatus::from_raw(9)), "killed (SIGKILL)");
+        assert_eq!(describe(ExitStatus::from_raw(31)), "signal 31");
+    }
+}

@@ -1,0 +1,91 @@
+//! `processes.json` in the group's folder: who is in the group and in which state, for `ps` and for whoever else asks.
+//!
+//! The supervisor keeps it up to date by renaming a whole new file over the old one, so a reader never sees half.
+
+use std::path::PathBuf;
+
+use loopbound_shared::group::Group;
+use loopbound_shared::scenario::Role;
+use serde::{Deserialize, Serialize};
+
+use super::child::Child;
+
+/// Name of the file.
+pub const FILE: &str = "processes.json";
+
+/// A group as `ps` shows it.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Roster {
+    /// Its name.
+    pub group: String,
+    /// The launcher and its children.
+    pub processes: Vec<Entry>,
+}
+
+/// A process as `ps` shows it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Entry {
+    /// Its role.
+    pub role: String,
+    /// Its id within the role.
+    pub id: u32,
+    /// Its process id.
+    pub pid: u32,
+    /// `starting`, `ready`, `active`, `standby`, `dead`, `ended`.
+    pub state: String,
+    /// How often it was started again.
+    pub restarts: u32,
+}
+
+/// Writes the file when something has changed.
+pub(super) struct RosterFile {
+    path: PathBuf,
+    written: Roster,
+}
+
+impl RosterFile {
+    pub(super) fn new(group: &Group) -> Self {
+        Self { path: group.file(FILE), written: Roster::default() }
+    }
+
+    /// A failure to write costs `ps` its view, never the group its run.
+    pub(super) fn update(&mut self, roster: Roster) {
+        if roster != self.written {
+            let text = serde_json::to_string(&roster).unwrap_or_default();
+            if super::write_whole(&self.path, text.as_bytes()).is_ok() {
+                self.written = roster;
+            }
+        }
+    }
+}
+
+/// The present roster; `active` is the controller in charge, 0 before the start.
+pub(super) fn roster(group: &str, children: &[Child], active: u32) -> Roster {
+    let own = |state: &str| Entry {
+        role: "supervisor".to_owned(),
+        id: 0,
+        pid: std::process::id(),
+        state: state.to_owned(),
+        restarts: 0,
+    };
+    let entry = |child: &Child| Entry {
+        role: child.process.role.to_string(),
+        id: child.process.id,
+        pid: child.pid,
+        state: state(child, active).to_owned(),
+        restarts: child.restarts,
+    };
+    let processes = std::iter::once(own("ready")).chain(children.iter().map(entry)).collect();
+    Roster { group: group.to_owned(), processes }
+}
+
+fn state(child: &Child, active: u32) -> &'static str {
+    match (&child.ended, &child.announce) {
+        (Some((status, _)), _) if status.success() => "ended",
+        (Some(_), _) => "dead",
+        (None, None) => "starting",
+        (None, Some(_)) if child.process.role != Role::Controller => "ready",
+        (None, Some(_)) if child.process.id == active => "active",
+        (None, Some(_)) => "standby",
+    }
+}
