@@ -9,6 +9,14 @@ use rustix::time::{ClockId, Timespec, clock_gettime};
 /// Nanoseconds in a second.
 pub const NS_PER_S: u64 = 1_000_000_000;
 
+/// Nanoseconds as seconds, for the mathematics. Exact below 104 days; the same division on every machine.
+#[inline]
+#[must_use]
+#[expect(clippy::cast_precision_loss, reason = "2^53 ns are 104 days")]
+pub const fn seconds(ns: u64) -> f64 {
+    ns as f64 / 1e9
+}
+
 /// Nanoseconds of `CLOCK_MONOTONIC`.
 ///
 /// On Linux this is a read of the vdso (about 30 ns with the tsc clock source), not a system call: it may stand in a

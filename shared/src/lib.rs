@@ -19,6 +19,8 @@ pub mod rng;
 pub mod role;
 pub mod sample;
 pub mod scenario;
+pub mod setpoints;
+pub mod system;
 pub mod topics;
 pub mod trajectory;
 pub mod truth;

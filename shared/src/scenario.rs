@@ -1,1 +1,123 @@
-//! Not written yet.
+//! The scenario: everything that decides a run, as one TOML file with defaults.
+//!
+//! Responsible for the keys, their units and limits, and for messages that name the place, the key, what was found and
+//! what is allowed. Not responsible for what the keys do. The default scenario is the paper's case.
+
+mod expect;
+mod names;
+mod physics;
+mod sections;
+mod units;
+mod values;
+
+pub use expect::{Budget, Comparator, ExpectSection, Expectation, parse_condition};
+pub use names::{
+    Distribution, DisturbanceKind, FaultKind, LawKind, Mode, ReferenceKind, Restart, Role, Wakeup, nearest,
+};
+pub use physics::{
+    ChainSpec, ControllerSection, DisturbanceSpec, DisturbanceTerm, FrictionSection, GainsSection, ModelSection,
+    Motion, NoiseSection, PlantSection, ReferenceSection, SineTerm, UncertaintySection,
+};
+pub use sections::{
+    FaultSpec, LoopSection, MonitorSection, RealtimeSection, SupervisorSection, SwapGateSection, SwapSpec,
+};
+pub use units::{
+    Hertz, Nanos, UnitError, format_duration, format_rate, parse_duration, parse_rate, parse_signed_duration,
+};
+pub use values::{Cores, PerLink, SignedNanos, Target, When};
+
+use serde::{Deserialize, Serialize};
+
+/// Everything that decides a run. Every key has a default; together they are the paper's case.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Scenario {
+    /// The time grid.
+    #[serde(rename = "loop")]
+    pub loop_: LoopSection,
+    /// The true chain.
+    pub plant: PlantSection,
+    /// The controller.
+    pub controller: ControllerSection,
+    /// The motion to be followed.
+    pub reference: ReferenceSection,
+    /// What is asked of the kernel.
+    pub realtime: RealtimeSection,
+    /// What becomes of dead roles.
+    pub supervisor: SupervisorSection,
+    /// What a new controller must show.
+    pub swap_gate: SwapGateSection,
+    /// How the group is watched.
+    pub monitor: MonitorSection,
+    /// Scheduled swaps.
+    pub swap: Vec<SwapSpec>,
+    /// What goes wrong on purpose.
+    pub fault: Vec<FaultSpec>,
+    /// What the run must show.
+    pub expect: ExpectSection,
+}
+
+impl Scenario {
+    /// Number of links, 1 to 7 in a valid scenario.
+    #[must_use]
+    pub fn links(&self) -> usize {
+        self.plant.links()
+    }
+
+    /// The period h (ns).
+    #[must_use]
+    pub fn period_ns(&self) -> u64 {
+        self.loop_.period_ns()
+    }
+
+    /// The chain that the plant integrates, `plant.mass_error` included.
+    #[must_use]
+    pub fn plant_chain(&self) -> ChainSpec {
+        self.chain(&ModelSection::default(), &self.plant.mass_error())
+    }
+
+    /// The nominal chain that the controller believes in, without `plant.mass_error`.
+    #[must_use]
+    pub fn model_chain(&self) -> ChainSpec {
+        self.chain(&self.controller.model, &vec![0.0; self.links()])
+    }
+
+    /// The plant's chain with the keys of `model` in place of its own, and its masses off by `mass_error`.
+    fn chain(&self, model: &ModelSection, mass_error: &[f64]) -> ChainSpec {
+        let (links, plant) = (self.links(), &self.plant);
+        let own_links = model.mass.is_some() || model.length.is_some() || model.inertia.is_some();
+        if let (Some(a), Some(b)) = (model.a.as_ref().or(plant.a.as_ref()), model.b.as_ref().or(plant.b.as_ref()))
+            && !own_links
+        {
+            return ChainSpec::Coefficients { a: a.clone(), b: b.clone() };
+        }
+        let values = |own: &Option<PerLink>, plants: &Option<PerLink>| {
+            own.as_ref().or(plants.as_ref()).map_or_else(|| vec![1.0; links], |values| values.to_vec(links))
+        };
+        let mass = values(&model.mass, &plant.mass);
+        let length_m = values(&model.length, &plant.length);
+        let rod = || mass.iter().zip(&length_m).map(|(m, l)| m * l * l / 12.0).collect();
+        let inertia: Vec<f64> =
+            model.inertia.as_ref().or(plant.inertia.as_ref()).map_or_else(rod, |values| values.to_vec(links));
+        let off = |values: &[f64]| values.iter().zip(mass_error).map(|(value, s)| value * (1.0 + s)).collect();
+        ChainSpec::Links {
+            mass_kg: off(&mass),
+            inertia_kg_m2: off(&inertia),
+            length_m,
+            gravity_m_s2: model.gravity.unwrap_or(plant.gravity),
+        }
+    }
+
+    /// How far ahead of the present setpoints are published (ns).
+    #[must_use]
+    pub fn setpoint_lead_ns(&self) -> u64 {
+        self.reference.lead_ns(self.period_ns())
+    }
+
+    /// The longest that an undecided run may be prolonged to (ns); default three times its duration.
+    #[must_use]
+    pub fn max_duration_ns(&self) -> u64 {
+        let default = self.loop_.duration.ns().saturating_mul(3);
+        self.expect.max_duration.map_or(default, Nanos::ns).max(self.loop_.duration.ns())
+    }
+}

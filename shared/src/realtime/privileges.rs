@@ -12,6 +12,8 @@ use serde::ser::{Serialize, SerializeMap, Serializer};
 pub enum Step {
     /// The thread is bound to one core.
     Affinity,
+    /// Timers of the thread may not be delayed (1 ns slack instead of 50 µs).
+    TimerSlack,
     /// `RLIMIT_RTTIME` ends a real-time process that spins without ever sleeping.
     RunawayGuard,
     /// The thread is scheduled by `SCHED_FIFO`.
@@ -24,20 +26,18 @@ pub enum Step {
     PrefaultShared,
     /// `/dev/cpu_dma_latency` is held at 0, so that idle cores don't halt.
     DmaLatency,
-    /// Timers of the thread may not be delayed (1 ns slack instead of 50 µs).
-    TimerSlack,
 }
 
 /// The steps in the order of [`Privileges::steps`].
 pub const STEPS: [Step; 8] = [
     Step::Affinity,
+    Step::TimerSlack,
     Step::RunawayGuard,
     Step::SchedFifo,
     Step::LockMemory,
     Step::PrefaultStack,
     Step::PrefaultShared,
     Step::DmaLatency,
-    Step::TimerSlack,
 ];
 
 impl Step {

@@ -1,0 +1,450 @@
+//! Who is obeyed. The plant is the sole arbiter: it knows the members, judges every torque that comes, and changes
+//! authority at tick boundaries (by command) or within a tick (failover).
+//!
+//! Terms: the *active* controller is obeyed; *standbys* answer every state too; a *fenced* one has failed, and what it
+//! says is counted and never applied until it has heard of the newer epoch and answered well for a while. The *epoch*
+//! counts changes of authority. No clock and no physics here: the loops say when something arrived and when the grace
+//! deadline has passed.
+
+use loopbound_shared::event::{Acceptance, Decision, HappeningKind, Refusal, ReplyKind};
+use loopbound_shared::sample::{
+    Counters, HAPPENINGS_MAX, Happening, Links, RECEIPTS_MAX, Receipt, Torque, torque_flag,
+};
+
+use crate::swap::{Pending, SwapRules, Watch};
+
+/// Whether a member is obeyed, ready to be, or neither.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// It is obeyed.
+    Active,
+    /// It answers, and takes over when needed.
+    Standby,
+    /// It has failed: nothing of it is applied. Answers from before this epoch don't count towards its return.
+    Fenced {
+        /// The epoch that began when it was fenced.
+        since_epoch: u32,
+    },
+}
+
+/// A controller that belongs to the group.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Member {
+    pub(crate) id: u32,
+    pub(crate) standing: Standing,
+    /// Its good torque for the open tick.
+    pub(crate) answer: Option<Torque>,
+    /// When that arrived.
+    pub(crate) answered_ns: u64,
+    /// Whether anything of it came in the open tick, good or not.
+    heard: bool,
+    /// On-time, finite answers in a row.
+    pub(crate) streak: u32,
+}
+
+/// A torque that is to act from `from_ns` on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Applied {
+    /// τ as it was answered, before limits, N·m.
+    pub tau: Links,
+    /// Since when.
+    pub from_ns: u64,
+    /// Whose.
+    pub writer: u32,
+    /// In which epoch.
+    pub epoch: u32,
+    /// The setpoint it was computed with: q_d, q̇_d, q̈_d.
+    pub setpoint: [Links; 3],
+    /// The tick of that setpoint.
+    pub setpoint_tick: u64,
+}
+
+/// On-time answers after which a fenced controller is a standby again.
+const READMIT_AFTER: u32 = 20;
+
+/// The members, who of them is obeyed, and what came in the open tick. Allocates at construction only.
+pub struct Authority {
+    pub(crate) members: [Option<Member>; RECEIPTS_MAX],
+    pub(crate) active: u32,
+    pub(crate) epoch: u32,
+    pub(crate) tick: u64,
+    grace_ns: u64,
+    links: u32,
+    decision: Option<Decision>,
+    grace_passed: bool,
+    receipts: [Receipt; RECEIPTS_MAX],
+    happenings: [Happening; HAPPENINGS_MAX],
+    happenings_used: usize,
+    pub(crate) swaps: Pending,
+    pub(crate) watch: Option<Watch>,
+    pub(crate) rules: SwapRules,
+    /// Counts since the start.
+    pub counters: Counters,
+}
+
+impl Authority {
+    /// No members, nobody obeyed.
+    #[must_use]
+    pub fn new(links: usize, rules: SwapRules) -> Self {
+        Self {
+            members: [None; RECEIPTS_MAX],
+            active: 0,
+            epoch: 0,
+            tick: 0,
+            grace_ns: 0,
+            links: u32::try_from(links).unwrap_or(0),
+            decision: None,
+            grace_passed: false,
+            receipts: [Receipt::zeroed(); RECEIPTS_MAX],
+            happenings: [Happening::zeroed(); HAPPENINGS_MAX],
+            happenings_used: 0,
+            swaps: Pending::new(),
+            watch: None,
+            rules,
+            counters: Counters::zeroed(),
+        }
+    }
+
+    /// Who is obeyed, and the epoch.
+    #[must_use]
+    pub fn active(&self) -> (u32, u32) {
+        (self.active, self.epoch)
+    }
+
+    /// Ids of the members that a tick has to wait for in lockstep.
+    pub fn member_ids(&self) -> impl Iterator<Item = u32> + '_ {
+        self.members.iter().flatten().map(|m| m.id)
+    }
+
+    /// Whether anything, good or not, came from every member in the open tick.
+    #[must_use]
+    pub fn all_heard(&self) -> bool {
+        self.members.iter().flatten().all(|m| m.heard)
+    }
+
+    pub(crate) fn member(&mut self, id: u32) -> Option<&mut Member> {
+        self.members.iter_mut().flatten().find(|m| m.id == id)
+    }
+
+    /// Admits a controller as a standby, or back as one.
+    ///
+    /// # Errors
+    /// If there is no room, or the id is 0.
+    pub fn add(&mut self, id: u32) -> Result<(), Refusal> {
+        if id == 0 {
+            return Err(Refusal::BadCommand);
+        }
+        if self.member(id).is_none() {
+            let place = self.members.iter_mut().find(|m| m.is_none()).ok_or(Refusal::Busy)?;
+            *place = Some(Member {
+                id,
+                standing: Standing::Standby,
+                answer: None,
+                answered_ns: 0,
+                heard: false,
+                streak: 0,
+            });
+            self.happen(HappeningKind::MemberAdded, id, 0, 0.0);
+        }
+        Ok(())
+    }
+
+    /// Forgets a controller that is dead or retired; what it may still say is of an unknown writer.
+    ///
+    /// # Errors
+    /// If it is no member.
+    pub fn remove(&mut self, id: u32) -> Result<(), Refusal> {
+        let place =
+            self.members.iter_mut().find(|m| m.is_some_and(|m| m.id == id)).ok_or(Refusal::UnknownController)?;
+        *place = None;
+        self.happen(HappeningKind::MemberRemoved, id, 0, 0.0);
+        Ok(())
+    }
+
+    /// Gives authority at the start, before tick 0.
+    ///
+    /// # Errors
+    /// If `id` is no member.
+    pub fn appoint(&mut self, id: u32) -> Result<(), Refusal> {
+        self.member(id).ok_or(Refusal::UnknownController)?;
+        self.hand_over(id, None);
+        Ok(())
+    }
+
+    /// Makes `id` the active controller in a new epoch. The one before becomes a standby, or is fenced.
+    pub(crate) fn hand_over(&mut self, id: u32, fence: Option<u32>) {
+        self.epoch += 1;
+        let epoch = self.epoch;
+        for member in self.members.iter_mut().flatten() {
+            if member.id == id {
+                member.standing = Standing::Active;
+            } else if fence == Some(member.id) {
+                member.standing = Standing::Fenced { since_epoch: epoch };
+                member.streak = 0;
+            } else if member.standing == Standing::Active {
+                member.standing = Standing::Standby;
+            }
+        }
+        self.active = id;
+    }
+
+    /// Opens tick `tick`; torques for it are on time until `grace_ns`.
+    pub fn open(&mut self, tick: u64, grace_ns: u64) {
+        (self.tick, self.grace_ns) = (tick, grace_ns);
+        (self.decision, self.grace_passed) = (None, false);
+        self.receipts = [Receipt::zeroed(); RECEIPTS_MAX];
+        for member in self.members.iter_mut().flatten() {
+            // Nothing good came in the tick before: the streak is over.
+            if member.answer.is_none() {
+                member.streak = 0;
+            }
+            (member.answer, member.answered_ns, member.heard) = (None, 0, false);
+        }
+    }
+
+    pub(crate) fn happen(&mut self, kind: HappeningKind, subject: u32, detail: u64, value: f64) {
+        if let Some(place) = self.happenings.get_mut(self.happenings_used) {
+            *place = Happening { kind: kind.code(), subject, detail, value };
+            self.happenings_used += 1;
+        }
+    }
+
+    /// What happened since this was last called.
+    pub fn take_happenings(&mut self) -> ([Happening; HAPPENINGS_MAX], usize) {
+        let taken = (self.happenings, self.happenings_used);
+        (self.happenings, self.happenings_used) = ([Happening::zeroed(); HAPPENINGS_MAX], 0);
+        taken
+    }
+
+    /// The receipts of the open tick, and how many there are.
+    #[must_use]
+    pub fn receipts(&self) -> (&[Receipt; RECEIPTS_MAX], usize) {
+        (&self.receipts, self.receipts.iter().filter(|r| r.writer != 0).count())
+    }
+
+    /// The decision on the open tick, once there is one.
+    #[must_use]
+    pub fn decision(&self) -> Option<Decision> {
+        self.decision
+    }
+
+    /// Whether some torque of the open tick acts or will.
+    #[must_use]
+    pub fn is_settled(&self) -> bool {
+        self.decision.is_some()
+    }
+
+    /// Judges a torque that arrived; returns it if it is to act.
+    pub fn offer(&mut self, torque: &Torque, arrived_ns: u64) -> Option<Applied> {
+        let acceptance = self.judge(torque, arrived_ns);
+        self.count(acceptance, torque);
+        if acceptance != Acceptance::Stale {
+            self.note_receipt(torque, arrived_ns, acceptance);
+        }
+        match acceptance {
+            Acceptance::Applied if self.blending() => self.blend_if_complete(arrived_ns),
+            Acceptance::Applied => Some(self.settle(Decision::Active, torque, arrived_ns)),
+            Acceptance::Late => Some(self.settle(Decision::ActiveLate, torque, arrived_ns)),
+            Acceptance::Standby if self.blending() => self.blend_if_complete(arrived_ns),
+            // The active one has failed visibly in this tick, or its time is over: this standby takes over.
+            Acceptance::Standby | Acceptance::LateUnused if self.active_failed() => self.fail_over(arrived_ns),
+            Acceptance::NotFinite | Acceptance::Malformed | Acceptance::Withheld if self.active_failed() => {
+                self.fail_over(arrived_ns)
+            }
+            _ => None,
+        }
+    }
+
+    /// The grace deadline of the open tick has passed (once a tick): a standby takes over, or the tick is missed.
+    pub fn grace_passed(&mut self, now_ns: u64) -> Option<Applied> {
+        self.grace_passed = true;
+        if self.decision.is_some() {
+            return None;
+        }
+        // In a blend the new controller's torque alone will do: the old one is on its way out.
+        let active = self.active;
+        if let Some(answer) = self.member(active).and_then(|m| m.answer) {
+            return Some(self.settle(Decision::Active, &answer, now_ns));
+        }
+        let taken_over = self.fail_over(now_ns);
+        if taken_over.is_none() {
+            self.counters.missed += 1;
+        }
+        taken_over
+    }
+
+    fn judge(&mut self, torque: &Torque, arrived_ns: u64) -> Acceptance {
+        let (tick, links, grace_ns, settled) = (self.tick, self.links, self.grace_ns, self.decision.is_some());
+        let Some(member) = self.member(torque.writer) else { return Acceptance::UnknownWriter };
+        if torque.tick != tick {
+            return Acceptance::Stale;
+        }
+        if member.heard {
+            return Acceptance::Duplicate;
+        }
+        member.heard = true;
+        if let Standing::Fenced { since_epoch } = member.standing
+            && torque.epoch < since_epoch
+        {
+            return Acceptance::Fenced;
+        }
+        if torque.flags & torque_flag::WITHHELD != 0 {
+            return Acceptance::Withheld;
+        }
+        if torque.links != links {
+            return Acceptance::Malformed;
+        }
+        if !torque.tau.iter().all(|x| x.is_finite()) {
+            return Acceptance::NotFinite;
+        }
+        let on_time = arrived_ns <= grace_ns || (torque.published_ns <= grace_ns && member.standing != Standing::Active);
+        if on_time {
+            member.streak = member.streak.saturating_add(1);
+            if matches!(member.standing, Standing::Fenced { .. }) && member.streak >= READMIT_AFTER {
+                member.standing = Standing::Standby;
+            }
+        } else {
+            member.streak = 0;
+        }
+        if matches!(member.standing, Standing::Fenced { .. }) {
+            // Kept as "answered" only by its streak: a fenced torque is never within reach of a failover.
+            member.answer = None;
+            return Acceptance::Fenced;
+        }
+        (member.answer, member.answered_ns) = (Some(*torque), arrived_ns);
+        match (member.standing, on_time) {
+            (Standing::Active, true) if !settled => Acceptance::Applied,
+            (Standing::Active, false) if !settled => Acceptance::Late,
+            (_, true) => Acceptance::Standby,
+            (_, false) => Acceptance::LateUnused,
+        }
+    }
+
+    fn count(&mut self, acceptance: Acceptance, torque: &Torque) {
+        let counters = &mut self.counters;
+        let counter = match acceptance {
+            Acceptance::Late | Acceptance::LateUnused => &mut counters.late,
+            Acceptance::Stale => &mut counters.stale,
+            Acceptance::NotFinite => &mut counters.not_finite,
+            Acceptance::Malformed => &mut counters.malformed,
+            Acceptance::UnknownWriter => &mut counters.unknown_writer,
+            Acceptance::Fenced => &mut counters.fenced,
+            Acceptance::Duplicate => &mut counters.duplicate,
+            Acceptance::Withheld => &mut counters.withheld,
+            Acceptance::None | Acceptance::Applied | Acceptance::Standby => return self.count_fault(torque),
+        };
+        *counter += 1;
+        self.count_fault(torque);
+    }
+
+    fn count_fault(&mut self, torque: &Torque) {
+        self.counters.faults_injected += u64::from(torque.flags & torque_flag::FAULT_INJECTED != 0);
+    }
+
+    fn note_receipt(&mut self, torque: &Torque, arrived_ns: u64, acceptance: Acceptance) {
+        // One place a writer; a second torque of the same writer is counted and leaves the first's receipt as it is.
+        let seen = |r: &&mut Receipt| r.writer == 0 || r.writer == torque.writer;
+        if let Some(receipt) = self.receipts.iter_mut().find(seen).filter(|r| r.writer == 0) {
+            *receipt = Receipt {
+                arrived_ns,
+                state_received_ns: torque.received_ns,
+                torque_published_ns: torque.published_ns,
+                setpoint_published_ns: torque.setpoint_published_ns,
+                setpoint_tick: torque.setpoint_tick,
+                run_delay_ns: torque.evidence.run_delay_ns,
+                involuntary_switches: torque.evidence.involuntary_switches,
+                faults: torque.evidence.minor_faults + torque.evidence.major_faults,
+                writer: torque.writer,
+                epoch: torque.epoch,
+                flags: torque.flags,
+                acceptance: acceptance.code(),
+            };
+        }
+    }
+
+    fn settle(&mut self, decision: Decision, torque: &Torque, from_ns: u64) -> Applied {
+        self.decision = Some(decision);
+        if self.counters.ticks == 0 && self.epoch == 1 {
+            self.happen(HappeningKind::FirstTorque, torque.writer, 0, 0.0);
+        }
+        applied(torque, torque.tau, from_ns, self.epoch)
+    }
+
+    /// Whether the open tick can't count on its active controller any more.
+    fn active_failed(&mut self) -> bool {
+        let (active, passed) = (self.active, self.grace_passed);
+        self.decision.is_none()
+            && self.member(active).is_none_or(|m| m.answer.is_none() && (m.heard || passed))
+    }
+
+    /// The first standby with a good torque for this very tick is obeyed from now on; the failed one is fenced.
+    fn fail_over(&mut self, now_ns: u64) -> Option<Applied> {
+        let ready = |m: &&Member| m.standing == Standing::Standby && m.answer.is_some();
+        let (id, answer) = self.members.iter().flatten().find(ready).map(|m| (m.id, m.answer))?;
+        let failed = self.active;
+        self.hand_over(id, Some(failed));
+        self.swaps.forget_switch();
+        self.watch = None;
+        self.counters.failovers += 1;
+        self.happen(HappeningKind::Failover, id, u64::from(failed), 0.0);
+        Some(self.settle(Decision::Standby, &answer?, now_ns))
+    }
+
+    /// In a cross-fade both torques of the tick are needed; once both are there their convex combination acts.
+    fn blend_if_complete(&mut self, now_ns: u64) -> Option<Applied> {
+        if self.decision.is_some() {
+            return None;
+        }
+        let (old_id, weight) = self.swaps.blend(self.tick)?;
+        let active = self.active;
+        let new = self.member(active)?.answer?;
+        let Some(old) = self.member(old_id).map(|m| m.answer) else {
+            // The old one is gone: nothing to fade from.
+            return Some(self.settle(Decision::Active, &new, now_ns));
+        };
+        let old = old?;
+        let mut tau = new.tau;
+        for (new, old) in tau.iter_mut().zip(old.tau) {
+            *new = weight * *new + (1.0 - weight) * old;
+        }
+        self.decision = Some(Decision::Blend);
+        Some(applied(&new, tau, now_ns, self.epoch))
+    }
+
+    fn blending(&self) -> bool {
+        self.swaps.blend(self.tick).is_some()
+    }
+
+    /// Counts the closing tick by its decision.
+    pub fn close(&mut self, decision: Decision) {
+        let counters = &mut self.counters;
+        counters.ticks += 1;
+        match decision {
+            Decision::Held => counters.held += 1,
+            Decision::Damped => counters.damped += 1,
+            Decision::Stopped => counters.stopped += 1,
+            _ => {}
+        }
+    }
+
+    /// The answer to a command that is refused.
+    #[must_use]
+    pub fn refused(reason: Refusal) -> loopbound_shared::sample::Reply {
+        loopbound_shared::sample::Reply {
+            kind: ReplyKind::Refused.code(),
+            reason: reason.code(),
+            ..loopbound_shared::sample::Reply::zeroed()
+        }
+    }
+}
+
+fn applied(torque: &Torque, tau: Links, from_ns: u64, epoch: u32) -> Applied {
+    Applied {
+        tau,
+        from_ns,
+        writer: torque.writer,
+        epoch,
+        setpoint: [torque.q_d, torque.v_d, torque.a_d],
+        setpoint_tick: torque.setpoint_tick,
+    }
+}

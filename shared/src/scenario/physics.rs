@@ -1,0 +1,542 @@
+//! The sections of a scenario about what is controlled: the plant, the controller's model and gains, the reference.
+
+use super::names::{DisturbanceKind, LawKind, ReferenceKind};
+use super::units::Nanos;
+use super::values::PerLink;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// The paper's start, off a reference that begins at zero (rad); longer chains repeat it.
+const START_Q_RAD: [f64; 3] = [0.3, -0.2, 0.25];
+
+/// `[plant]`: the true chain, its start, and what is not ideal about it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PlantSection {
+    /// Number of links; default the length of the first list given, else 3.
+    pub links: Option<usize>,
+    /// Link masses as the drawings have them (kg); default 1.
+    pub mass: Option<PerLink>,
+    /// Link lengths (m); default 1.
+    pub length: Option<PerLink>,
+    /// Inertias about the centres of mass (kg·m²); default m l²/12, a uniform rod.
+    pub inertia: Option<PerLink>,
+    /// Gravity (m/s²).
+    pub gravity: f64,
+    /// Rows of a_ij (kg·m²), instead of masses and lengths.
+    pub a: Option<Vec<Vec<f64>>>,
+    /// b_i (N·m), together with `a`.
+    pub b: Option<Vec<f64>>,
+    /// Relative error s of the masses and, in proportion, the inertias: the true mass is `mass`·(1 + s), while the
+    /// controller's model keeps `mass`; default 0.
+    pub mass_error: Option<PerLink>,
+    /// Angles at the start (rad).
+    pub start_q_rad: Option<PerLink>,
+    /// Velocities at the start (rad/s); default 0.
+    pub start_v_rad_s: Option<PerLink>,
+    /// Largest torque of each link (N·m); default no limit.
+    pub torque_limit_nm: Option<PerLink>,
+    /// From the acceptance of a torque to its action.
+    pub actuation_delay: Nanos,
+    /// Friction.
+    pub friction: FrictionSection,
+    /// Imperfect measurement.
+    pub noise: NoiseSection,
+    /// Disturbance torques, added up.
+    pub disturbance: Vec<DisturbanceSpec>,
+    /// Seed of noise and disturbances.
+    pub seed: u64,
+}
+
+impl Default for PlantSection {
+    fn default() -> Self {
+        Self {
+            links: None,
+            mass: None,
+            length: None,
+            inertia: None,
+            gravity: 9.81,
+            a: None,
+            b: None,
+            mass_error: None,
+            start_q_rad: None,
+            start_v_rad_s: None,
+            torque_limit_nm: None,
+            actuation_delay: Nanos(0),
+            friction: FrictionSection::default(),
+            noise: NoiseSection::default(),
+            disturbance: Vec::new(),
+            seed: 1,
+        }
+    }
+}
+
+impl PlantSection {
+    /// Number of links: as given, else as long as the first list, else 3.
+    #[must_use]
+    pub fn links(&self) -> usize {
+        let lists = [&self.mass, &self.length, &self.inertia, &self.start_q_rad, &self.mass_error];
+        let first_list = lists.into_iter().flatten().find_map(PerLink::len_if_list);
+        let coefficients = self.a.as_ref().map(Vec::len).or(self.b.as_ref().map(Vec::len));
+        self.links.or(coefficients).or(first_list).unwrap_or(3)
+    }
+
+    /// Angles at the start (rad), one a link.
+    #[must_use]
+    pub fn start_q_rad(&self) -> Vec<f64> {
+        let default = || START_Q_RAD.iter().copied().cycle().take(self.links()).collect();
+        self.start_q_rad.as_ref().map_or_else(default, |q| q.to_vec(self.links()))
+    }
+
+    /// Velocities at the start (rad/s), one a link.
+    #[must_use]
+    pub fn start_v_rad_s(&self) -> Vec<f64> {
+        self.per_link(self.start_v_rad_s.as_ref(), 0.0)
+    }
+
+    /// Largest torques (N·m), one a link, infinite where there is no limit.
+    #[must_use]
+    pub fn torque_limit_nm(&self) -> Vec<f64> {
+        self.per_link(self.torque_limit_nm.as_ref(), f64::INFINITY)
+    }
+
+    /// Viscous friction (N·m·s), one a link.
+    #[must_use]
+    pub fn viscous_nm_s(&self) -> Vec<f64> {
+        self.friction.viscous_nm_s.to_vec(self.links())
+    }
+
+    /// Coulomb friction (N·m), one a link.
+    #[must_use]
+    pub fn coulomb_nm(&self) -> Vec<f64> {
+        self.friction.coulomb_nm.to_vec(self.links())
+    }
+
+    /// The relative mass errors, one a link.
+    #[must_use]
+    pub fn mass_error(&self) -> Vec<f64> {
+        self.per_link(self.mass_error.as_ref(), 0.0)
+    }
+
+    fn per_link(&self, values: Option<&PerLink>, default: f64) -> Vec<f64> {
+        values.map_or_else(|| vec![default; self.links()], |values| values.to_vec(self.links()))
+    }
+}
+
+/// `[plant.friction]`, one value a link.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FrictionSection {
+    /// Proportional to the velocity (N·m·s).
+    pub viscous_nm_s: PerLink,
+    /// Against the direction of motion (N·m).
+    pub coulomb_nm: PerLink,
+}
+
+impl Default for FrictionSection {
+    fn default() -> Self {
+        Self { viscous_nm_s: PerLink::All(0.0), coulomb_nm: PerLink::All(0.0) }
+    }
+}
+
+/// `[plant.noise]`: standard deviations and resolutions of the measurement; zero is perfect.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct NoiseSection {
+    /// Standard deviation of angles (rad).
+    pub q_rad: f64,
+    /// Standard deviation of velocities (rad/s).
+    pub v_rad_s: f64,
+    /// Resolution of angles (rad).
+    pub quantum_q_rad: f64,
+    /// Resolution of velocities (rad/s).
+    pub quantum_v_rad_s: f64,
+}
+
+/// `[[plant.disturbance]]`: one torque that acts on the links beside the controller's.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DisturbanceSpec {
+    /// Its shape.
+    pub kind: DisturbanceKind,
+    /// Size of a constant or a step (N·m).
+    #[serde(default)]
+    pub value_nm: Option<PerLink>,
+    /// Amplitude of a sine (N·m).
+    #[serde(default)]
+    pub amplitude_nm: Option<PerLink>,
+    /// Angular frequency of a sine (rad/s).
+    #[serde(default)]
+    pub omega_rad_s: Option<PerLink>,
+    /// Phase of a sine (rad); default 0.
+    #[serde(default)]
+    pub phase_rad: Option<PerLink>,
+    /// Beginning of a step.
+    #[serde(default)]
+    pub at: Option<Nanos>,
+    /// Root mean square of noise (N·m).
+    #[serde(default)]
+    pub rms_nm: Option<PerLink>,
+    /// Lower edge of the band of noise (Hz).
+    #[serde(default)]
+    pub low_hz: Option<f64>,
+    /// Upper edge of the band of noise (Hz).
+    #[serde(default)]
+    pub high_hz: Option<f64>,
+}
+
+/// One disturbance torque with every value in place, one a link.
+#[derive(Clone, Debug, PartialEq)]
+pub enum DisturbanceTerm {
+    /// The same at all times.
+    Constant {
+        /// N·m.
+        value_nm: Vec<f64>,
+    },
+    /// amplitude · sin(omega t + phase).
+    Sine {
+        /// N·m.
+        amplitude_nm: Vec<f64>,
+        /// rad/s.
+        omega_rad_s: Vec<f64>,
+        /// rad.
+        phase_rad: Vec<f64>,
+    },
+    /// `value_nm` from `at_s` on.
+    Step {
+        /// s.
+        at_s: f64,
+        /// N·m.
+        value_nm: Vec<f64>,
+    },
+    /// Band-limited noise.
+    Noise {
+        /// N·m.
+        rms_nm: Vec<f64>,
+        /// Hz.
+        low_hz: f64,
+        /// Hz.
+        high_hz: f64,
+    },
+}
+
+impl DisturbanceSpec {
+    /// The typed form for a chain of `links`; values that the kind does not have are ignored.
+    #[must_use]
+    pub fn term(&self, links: usize) -> DisturbanceTerm {
+        let vector = |values: &Option<PerLink>| values.as_ref().map_or_else(|| vec![0.0; links], |v| v.to_vec(links));
+        match self.kind {
+            DisturbanceKind::Constant => DisturbanceTerm::Constant { value_nm: vector(&self.value_nm) },
+            DisturbanceKind::Sine => DisturbanceTerm::Sine {
+                amplitude_nm: vector(&self.amplitude_nm),
+                omega_rad_s: vector(&self.omega_rad_s),
+                phase_rad: vector(&self.phase_rad),
+            },
+            DisturbanceKind::Step => {
+                DisturbanceTerm::Step { at_s: self.at.unwrap_or_default().seconds(), value_nm: vector(&self.value_nm) }
+            }
+            DisturbanceKind::Noise => DisturbanceTerm::Noise {
+                rms_nm: vector(&self.rms_nm),
+                low_hz: self.low_hz.unwrap_or(0.0),
+                high_hz: self.high_hz.unwrap_or(0.0),
+            },
+        }
+    }
+}
+
+/// `[controller]`: who computes the torque, with which gains and which beliefs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ControllerSection {
+    /// The law in charge at the start.
+    pub law: LawKind,
+    /// A user's own controller instead, started as `EXE --group G --id N --scenario FILE`.
+    pub exe: Option<PathBuf>,
+    /// Number of standbys.
+    pub standby: u32,
+    /// Gains of all laws.
+    pub gains: GainsSection,
+    /// The nominal chain.
+    pub model: ModelSection,
+    /// What the certificate must allow for.
+    pub uncertainty: UncertaintySection,
+}
+
+impl Default for ControllerSection {
+    fn default() -> Self {
+        Self {
+            law: LawKind::Robust,
+            exe: None,
+            standby: 0,
+            gains: GainsSection::default(),
+            model: ModelSection::default(),
+            uncertainty: UncertaintySection::default(),
+        }
+    }
+}
+
+/// `[controller.gains]`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct GainsSection {
+    /// β (1/s), of r = ė + β e.
+    pub beta: f64,
+    /// K2 (N·m·s).
+    pub k2: f64,
+    /// K3 (1/(N·m·s⁻¹)), of the robust term.
+    pub k3: f64,
+    /// C1 (N·m), the bound of the uncertainty.
+    pub c1: f64,
+    /// c, the certified level of V.
+    pub level: f64,
+    /// K_p of `ctc` (1/s²) and `pd+g` (N·m).
+    pub kp: f64,
+    /// K_d of `ctc` (1/s) and `pd+g` (N·m·s).
+    pub kd: f64,
+    /// The total gain K_t (N·m·s) given directly; default K2 + κ + K3 C1².
+    pub k_t: Option<f64>,
+    /// β (1/s) of the analysis of `pd+g`; default found by search.
+    pub analyst_beta: Option<f64>,
+    /// Whether `robust-ff` takes the V of `robust`, so that their cross-fades are certified.
+    pub shared_v: bool,
+}
+
+impl Default for GainsSection {
+    fn default() -> Self {
+        Self {
+            beta: 5.0,
+            k2: 10.0,
+            k3: 0.04,
+            c1: 40.0,
+            level: 6.0,
+            kp: 25.0,
+            kd: 10.0,
+            k_t: None,
+            analyst_beta: None,
+            shared_v: false,
+        }
+    }
+}
+
+/// `[controller.model]`: the chain that the controller believes in; each key defaults to the plant's, without its
+/// `mass_error`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ModelSection {
+    /// Link masses (kg).
+    pub mass: Option<PerLink>,
+    /// Link lengths (m).
+    pub length: Option<PerLink>,
+    /// Inertias (kg·m²).
+    pub inertia: Option<PerLink>,
+    /// Gravity (m/s²).
+    pub gravity: Option<f64>,
+    /// Rows of a_ij (kg·m²), instead of masses and lengths.
+    pub a: Option<Vec<Vec<f64>>>,
+    /// b_i (N·m), together with `a`.
+    pub b: Option<Vec<f64>>,
+}
+
+/// `[controller.uncertainty]`: the declared bounds that the certificate allows for.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct UncertaintySection {
+    /// μ: largest relative error of a mass, 0 to below 1.
+    pub mass: f64,
+    /// D: largest norm of the disturbance (N·m).
+    pub disturbance_nm: f64,
+}
+
+/// A chain by its links or by its coefficients, every value in place.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ChainSpec {
+    /// Masses, lengths, inertias and gravity, one a link.
+    Links {
+        /// kg.
+        mass_kg: Vec<f64>,
+        /// m.
+        length_m: Vec<f64>,
+        /// kg·m².
+        inertia_kg_m2: Vec<f64>,
+        /// m/s².
+        gravity_m_s2: f64,
+    },
+    /// The coefficients of the equations of motion.
+    Coefficients {
+        /// Rows of a_ij (kg·m²).
+        a: Vec<Vec<f64>>,
+        /// b_i (N·m).
+        b: Vec<f64>,
+    },
+}
+
+/// `[reference]`: the motion to be followed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ReferenceSection {
+    /// Its shape.
+    pub kind: ReferenceKind,
+    /// How far ahead setpoints are published; default the larger of 64 ticks and 20 ms.
+    pub lead: Option<Nanos>,
+    /// Amplitude of `sine` and `chirp` (rad); default 1.
+    pub amplitude_rad: Option<PerLink>,
+    /// Angular frequency of `sine` and `circle` (rad/s); default 0.1.
+    pub omega_rad_s: Option<PerLink>,
+    /// The sines of `multi-sine`.
+    pub term: Vec<SineTerm>,
+    /// Start of `quintic` (rad); default 0.
+    pub from_rad: Option<PerLink>,
+    /// End of `quintic` (rad).
+    pub to_rad: Option<PerLink>,
+    /// Beginning of the motion of `quintic`; default 0.
+    pub at: Option<Nanos>,
+    /// Length of the motion of `quintic`, or of the sweep of `chirp`.
+    pub duration: Option<Nanos>,
+    /// Angular frequency at the start of `chirp` (rad/s); default 0.1.
+    pub omega_start_rad_s: Option<f64>,
+    /// Angular frequency at the end of `chirp` (rad/s).
+    pub omega_end_rad_s: Option<f64>,
+    /// Centre of `circle` from the hinge, horizontal and upward (m).
+    pub centre_m: Option<[f64; 2]>,
+    /// Radius of `circle` (m).
+    pub radius_m: Option<f64>,
+    /// CSV file of `waypoints` with the columns t_s, q1 … qn.
+    pub file: Option<PathBuf>,
+}
+
+impl Default for ReferenceSection {
+    fn default() -> Self {
+        Self {
+            kind: ReferenceKind::Sine,
+            lead: None,
+            amplitude_rad: None,
+            omega_rad_s: None,
+            term: Vec::new(),
+            from_rad: None,
+            to_rad: None,
+            at: None,
+            duration: None,
+            omega_start_rad_s: None,
+            omega_end_rad_s: None,
+            centre_m: None,
+            radius_m: None,
+            file: None,
+        }
+    }
+}
+
+/// `[[reference.term]]`: one sine of a `multi-sine`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SineTerm {
+    /// rad.
+    pub amplitude_rad: PerLink,
+    /// rad/s.
+    pub omega_rad_s: PerLink,
+    /// rad; default 0.
+    #[serde(default = "zero")]
+    pub phase_rad: PerLink,
+}
+
+fn zero() -> PerLink {
+    PerLink::All(0.0)
+}
+
+/// A reference motion with every value in place, one a link.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Motion {
+    /// amplitude · sin(omega t).
+    Sine {
+        /// rad.
+        amplitude_rad: Vec<f64>,
+        /// rad/s.
+        omega_rad_s: Vec<f64>,
+    },
+    /// Sum of amplitude · sin(omega t + phase).
+    MultiSine {
+        /// (amplitude rad, omega rad/s, phase rad), each with one value a link.
+        terms: Vec<(Vec<f64>, Vec<f64>, Vec<f64>)>,
+    },
+    /// Point to point.
+    Quintic {
+        /// rad.
+        from_rad: Vec<f64>,
+        /// rad.
+        to_rad: Vec<f64>,
+        /// s.
+        at_s: f64,
+        /// s.
+        duration_s: f64,
+    },
+    /// A sine of rising frequency.
+    Chirp {
+        /// rad.
+        amplitude_rad: Vec<f64>,
+        /// rad/s.
+        omega_start_rad_s: f64,
+        /// rad/s.
+        omega_end_rad_s: f64,
+        /// s.
+        duration_s: f64,
+    },
+    /// A circle of the tip.
+    Circle {
+        /// Horizontal and upward from the hinge (m).
+        centre_m: [f64; 2],
+        /// m.
+        radius_m: f64,
+        /// rad/s.
+        omega_rad_s: f64,
+    },
+    /// Points of a file.
+    Waypoints {
+        /// CSV.
+        file: PathBuf,
+    },
+}
+
+impl ReferenceSection {
+    /// The typed form for a chain of `links`; keys that the kind does not have are ignored.
+    #[must_use]
+    pub fn motion(&self, links: usize) -> Motion {
+        let vector = |values: &Option<PerLink>, default: f64| {
+            values.as_ref().map_or_else(|| vec![default; links], |values| values.to_vec(links))
+        };
+        match self.kind {
+            ReferenceKind::Sine => Motion::Sine {
+                amplitude_rad: vector(&self.amplitude_rad, 1.0),
+                omega_rad_s: vector(&self.omega_rad_s, 0.1),
+            },
+            ReferenceKind::MultiSine => {
+                let each = |t: &SineTerm| {
+                    (t.amplitude_rad.to_vec(links), t.omega_rad_s.to_vec(links), t.phase_rad.to_vec(links))
+                };
+                Motion::MultiSine { terms: self.term.iter().map(each).collect() }
+            }
+            ReferenceKind::Quintic => Motion::Quintic {
+                from_rad: vector(&self.from_rad, 0.0),
+                to_rad: vector(&self.to_rad, 0.0),
+                at_s: self.at.unwrap_or_default().seconds(),
+                duration_s: self.duration.unwrap_or_default().seconds(),
+            },
+            ReferenceKind::Chirp => Motion::Chirp {
+                amplitude_rad: vector(&self.amplitude_rad, 1.0),
+                omega_start_rad_s: self.omega_start_rad_s.unwrap_or(0.1),
+                omega_end_rad_s: self.omega_end_rad_s.unwrap_or(0.1),
+                duration_s: self.duration.unwrap_or_default().seconds(),
+            },
+            ReferenceKind::Circle => Motion::Circle {
+                centre_m: self.centre_m.unwrap_or_default(),
+                radius_m: self.radius_m.unwrap_or(0.0),
+                omega_rad_s: self.omega_rad_s.as_ref().and_then(|w| w.written().first().copied()).unwrap_or(0.1),
+            },
+            ReferenceKind::Waypoints => Motion::Waypoints { file: self.file.clone().unwrap_or_default() },
+        }
+    }
+
+    /// How far ahead of the present setpoints are published (ns).
+    #[must_use]
+    pub fn lead_ns(&self, period_ns: u64) -> u64 {
+        self.lead.map_or((64 * period_ns).max(20_000_000), Nanos::ns)
+    }
+}
