@@ -18,6 +18,10 @@
 use nalgebra::{SMatrix, SVector};
 use thiserror::Error;
 
+use self::factors::Factors;
+
+mod factors;
+
 /// The largest number of links that the wire format carries.
 pub const LINKS_MAX: usize = 7;
 /// A vector with one entry a link.
@@ -375,62 +379,6 @@ impl<const N: usize> Angles<N> {
     /// cos(q_i − q_j), exactly 1 for i = j.
     fn cos_difference(&self, i: usize, j: usize) -> f64 {
         if i == j { 1.0 } else { self.cos[i] * self.cos[j] + self.sin[i] * self.sin[j] }
-    }
-}
-
-/// M = L D Lᵀ with a unit lower triangular L: Cholesky's factorisation without its square roots.
-struct Factors<const N: usize> {
-    /// Below the diagonal: L.
-    lower: [[f64; N]; N],
-    /// The diagonal of D, all positive exactly when M is positive definite.
-    pivots: [f64; N],
-    /// 1/D: a division is much dearer than a product.
-    inverse_pivots: [f64; N],
-}
-
-impl<const N: usize> Factors<N> {
-    /// Uses the lower triangle of `matrix` only.
-    fn of(matrix: [[f64; N]; N]) -> Self {
-        let mut factors = Self { lower: matrix, pivots: [0.0; N], inverse_pivots: [0.0; N] };
-        // For a column j, scaled[k] = L_jk D_k.
-        let mut scaled = [0.0; N];
-        for j in 0..N {
-            let mut pivot = factors.lower[j][j];
-            for k in 0..j {
-                scaled[k] = factors.lower[j][k] * factors.pivots[k];
-                pivot -= factors.lower[j][k] * scaled[k];
-            }
-            let inverse = 1.0 / pivot;
-            for i in j + 1..N {
-                let mut entry = factors.lower[i][j];
-                for k in 0..j {
-                    entry -= factors.lower[i][k] * scaled[k];
-                }
-                factors.lower[i][j] = entry * inverse;
-            }
-            factors.pivots[j] = pivot;
-            factors.inverse_pivots[j] = inverse;
-        }
-        factors
-    }
-
-    /// The solution x of M x = `rhs`.
-    fn solve(&self, rhs: [f64; N]) -> [f64; N] {
-        let mut x = rhs;
-        for i in 0..N {
-            for k in 0..i {
-                x[i] -= self.lower[i][k] * x[k];
-            }
-        }
-        for i in 0..N {
-            x[i] *= self.inverse_pivots[i];
-        }
-        for i in (0..N).rev() {
-            for k in i + 1..N {
-                x[i] -= self.lower[k][i] * x[k];
-            }
-        }
-        x
     }
 }
 

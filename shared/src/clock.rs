@@ -83,6 +83,17 @@ pub fn wall_time_ns() -> u64 {
     to_ns(clock_gettime(ClockId::Realtime))
 }
 
+/// The period of the kernel's tick, whose interrupts fall on its whole multiples by [`now_ns`]; none where unknown.
+///
+/// The coarse clock advances once a tick, so its resolution is the tick's period (4 ms for `CONFIG_HZ=250`).
+#[must_use]
+pub fn kernel_tick_ns() -> Option<u64> {
+    #[cfg(any(target_os = "linux", target_os = "android"))]
+    return Some(to_ns(rustix::time::clock_getres(ClockId::MonotonicCoarse))).filter(|&tick_ns| tick_ns > 1);
+    #[cfg(not(any(target_os = "linux", target_os = "android")))]
+    return None;
+}
+
 #[inline]
 fn to_ns(time: Timespec) -> u64 {
     // A monotonic clock starts at zero and the wall clock stands after 1970, so neither part is negative.
@@ -172,6 +183,14 @@ mod tests {
             assert!(now >= before);
             before = now;
         }
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn the_tick_of_the_kernel_is_one_that_kernels_are_built_with() {
+        let tick_ns = kernel_tick_ns().unwrap();
+        // CONFIG_HZ is between 24 (alpha's simulators) and 1200, and the stored period is rounded.
+        assert!((800_000..=42_000_000).contains(&tick_ns), "{tick_ns}");
     }
 
     #[test]

@@ -11,7 +11,7 @@ mod process;
 mod system;
 mod throttle;
 
-pub use enter::{Entered, RUNAWAY_LIMIT_US, Request, STACK_PREFAULT_BYTES, enter};
+pub use enter::{Entered, RUNAWAY_LIMIT_US, Request, STACK_PREFAULT_BYTES, enter, lockable_bytes, try_fifo};
 pub use evidence::{Evidence, EvidenceReader, MISSING_SCHEDSTAT, MISSING_USAGE};
 pub use privileges::{CORE_NONE, Outcome, Privileges, STEPS, Step};
 pub use process::{ProcessHandle, die_with_parent, priority, set_priority, wait_any_end};

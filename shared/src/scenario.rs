@@ -3,17 +3,21 @@
 //! Responsible for the keys, their units and limits, and for messages that name the place, the key, what was found and
 //! what is allowed. Not responsible for what the keys do. The default scenario is the paper's case.
 
+mod error;
 mod expect;
+mod keys;
+mod load;
 mod names;
 mod physics;
+mod resolve;
 mod sections;
 mod units;
+mod validate;
 mod values;
 
+pub use error::{Place, ScenarioError};
 pub use expect::{Budget, Comparator, ExpectSection, Expectation, parse_condition};
-pub use names::{
-    Distribution, DisturbanceKind, FaultKind, LawKind, Mode, ReferenceKind, Restart, Role, Wakeup, nearest,
-};
+pub use names::{Distribution, DisturbanceKind, FaultKind, Mode, ReferenceKind, Restart, Role, Wakeup, nearest};
 pub use physics::{
     ChainSpec, ControllerSection, DisturbanceSpec, DisturbanceTerm, FrictionSection, GainsSection, ModelSection,
     Motion, NoiseSection, PlantSection, ReferenceSection, SineTerm, UncertaintySection,
@@ -26,11 +30,16 @@ pub use units::{
 };
 pub use values::{Cores, PerLink, SignedNanos, Target, When};
 
+pub use validate::check_group_name;
+
 use serde::{Deserialize, Serialize};
+
+/// Exponent of heavy-tailed delays where none is given: a finite mean, an infinite variance.
+pub const PARETO_SHAPE_DEFAULT: f64 = 1.5;
 
 /// Everything that decides a run. Every key has a default; together they are the paper's case.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct Scenario {
     /// The time grid.
     #[serde(rename = "loop")]

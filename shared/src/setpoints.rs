@@ -34,6 +34,12 @@ impl SetpointBook {
         Self { entries: vec![empty; CAPACITY].into_boxed_slice(), newest_tick: None, period_ns }
     }
 
+    /// The period of a tick, ns.
+    #[must_use]
+    pub const fn period_ns(&self) -> u64 {
+        self.period_ns
+    }
+
     /// Enters a setpoint. Of two for one tick the later holds (a restarted reference repeats some). One that is not
     /// finite or of another number of links is refused: false.
     pub fn enter(&mut self, setpoint: &Setpoint, links: usize) -> bool {

@@ -306,14 +306,14 @@ fn joint_torques_are_the_ones_whose_differences_are_the_generalised_torques() {
     let tau = Vector::<4>::new(1.0, -2.0, 4.0, 0.5);
     let u = joint_torques(&tau);
     assert_eq!(u, Vector::<4>::new(3.5, 2.5, 4.5, 0.5));
-    assert_eq!(tau[3], u[3]);
-    assert_eq!(tau[0], u[0] - u[1]);
+    assert_eq!(tau, u - Vector::<4>::new(u[1], u[2], u[3], 0.0));
 }
 
 #[test]
 fn the_tip_hangs_below_the_hinge_at_rest_and_lies_beside_it_at_a_right_angle() {
     let length_m = [1.0, 0.5, 0.25];
-    assert_eq!(tip_position(&length_m, &Vector::zeros()), [0.0, -1.75]);
+    let [x, y] = tip_position(&length_m, &Vector::zeros());
+    assert!(x.abs() < 1e-15 && (y + 1.75).abs() < 1e-15);
     let [x, y] = tip_position(&length_m, &Vector::repeat(core::f64::consts::FRAC_PI_2));
     assert!((x - 1.75).abs() < 1e-15 && y.abs() < 1e-15);
 }

@@ -182,6 +182,25 @@ fn become_fifo(priority: u32) -> Result<u32, Errno> {
     system::set_scheduler(0, priority).map(|()| priority)
 }
 
+/// Tries whether `SCHED_FIFO` would be granted, on a thread that ends at once, and at which priority (0 if refused).
+#[must_use]
+pub fn try_fifo(priority: u32) -> (Outcome, u32) {
+    let attempt = std::thread::spawn(move || become_fifo(priority)).join();
+    match attempt {
+        Ok(Ok(granted)) => (Outcome::Had, granted),
+        Ok(Err(errno)) => (outcome_of(Err(errno)), 0),
+        Err(_) => (outcome_of(Err(Errno::AGAIN)), 0),
+    }
+}
+
+/// How much memory may be locked; none means without limit.
+#[must_use]
+pub fn lockable_bytes() -> Option<u64> {
+    let may_lock_all = capabilities(None).is_ok_and(|sets| sets.effective.contains(CapabilitySet::IPC_LOCK));
+    // The soft limit is raised to the hard one when the time comes.
+    if may_lock_all { None } else { getrlimit(Resource::Memlock).maximum }
+}
+
 /// Locks what is mapped; what will be mapped too, unless a limit could then refuse memory to the running process.
 fn lock_memory() -> Result<(), Errno> {
     let before = getrlimit(Resource::Memlock);
@@ -312,6 +331,16 @@ mod tests {
         })
         .join()
         .unwrap();
+    }
+
+    #[test]
+    fn trying_a_policy_leaves_the_caller_as_it_was_and_tells_what_entering_would_get() {
+        let before = system::fifo_priority(0).unwrap();
+        let (outcome, granted) = try_fifo(3);
+        assert_eq!(system::fifo_priority(0).unwrap(), before);
+        assert_eq!(outcome == Outcome::Had, granted > 0);
+        let entered = thread::spawn(|| become_fifo(3)).join().unwrap();
+        assert_eq!(entered.is_ok(), outcome == Outcome::Had);
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! The closed lists of words that a scenario may use, each with one spelling for files, command line and reports.
 
+use crate::law::LawKind;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 use std::str::FromStr;
@@ -19,6 +20,17 @@ pub fn nearest<'a>(found: &str, candidates: impl IntoIterator<Item = &'a str>) -
 pub(super) fn unknown_word(found: &str, allowed: &[&str]) -> String {
     let hint = nearest(found, allowed.iter().copied()).map(|near| format!(", did you mean \"{near}\"?"));
     format!("found \"{found}\", allowed: {}{}", allowed.join(", "), hint.unwrap_or_default())
+}
+
+/// Reads the name of a law, and names the nearest one when there is none.
+pub(super) fn law<'de, D: Deserializer<'de>>(deserializer: D) -> Result<LawKind, D::Error> {
+    let name = String::deserialize(deserializer)?;
+    name.parse().map_err(|_| serde::de::Error::custom(unknown_word(&name, &LawKind::ALL.map(LawKind::name))))
+}
+
+/// The same for a key that may be absent.
+pub(super) fn optional_law<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<LawKind>, D::Error> {
+    law(deserializer).map(Some)
 }
 
 /// Defines an enum of keywords with `ALL`, `name`, `Display`, `FromStr` and serde in the one spelling.
@@ -91,20 +103,6 @@ keywords! {
         Spin = "spin",
         /// The transport's own events.
         Event = "event",
-    }
-}
-
-keywords! {
-    /// The control laws.
-    LawKind {
-        /// The paper's model-free law, K_t r.
-        Robust = "robust",
-        /// Model feed-forward plus K_t r.
-        RobustFf = "robust-ff",
-        /// Computed torque.
-        Ctc = "ctc",
-        /// Proportional-derivative with gravity compensation.
-        PdG = "pd+g",
     }
 }
 

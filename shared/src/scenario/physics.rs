@@ -1,8 +1,9 @@
 //! The sections of a scenario about what is controlled: the plant, the controller's model and gains, the reference.
 
-use super::names::{DisturbanceKind, LawKind, ReferenceKind};
+use super::names::{DisturbanceKind, ReferenceKind};
 use super::units::Nanos;
 use super::values::PerLink;
+use crate::law::LawKind;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -11,7 +12,7 @@ const START_Q_RAD: [f64; 3] = [0.3, -0.2, 0.25];
 
 /// `[plant]`: the true chain, its start, and what is not ideal about it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct PlantSection {
     /// Number of links; default the length of the first list given, else 3.
     pub links: Option<usize>,
@@ -125,7 +126,7 @@ impl PlantSection {
 
 /// `[plant.friction]`, one value a link.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct FrictionSection {
     /// Proportional to the velocity (N·m·s).
     pub viscous_nm_s: PerLink,
@@ -141,7 +142,7 @@ impl Default for FrictionSection {
 
 /// `[plant.noise]`: standard deviations and resolutions of the measurement; zero is perfect.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct NoiseSection {
     /// Standard deviation of angles (rad).
     pub q_rad: f64,
@@ -155,7 +156,7 @@ pub struct NoiseSection {
 
 /// `[[plant.disturbance]]`: one torque that acts on the links beside the controller's.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "a table")]
 pub struct DisturbanceSpec {
     /// Its shape.
     pub kind: DisturbanceKind,
@@ -246,9 +247,10 @@ impl DisturbanceSpec {
 
 /// `[controller]`: who computes the torque, with which gains and which beliefs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct ControllerSection {
     /// The law in charge at the start.
+    #[serde(deserialize_with = "super::names::law")]
     pub law: LawKind,
     /// A user's own controller instead, started as `EXE --group G --id N --scenario FILE`.
     pub exe: Option<PathBuf>,
@@ -277,7 +279,7 @@ impl Default for ControllerSection {
 
 /// `[controller.gains]`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct GainsSection {
     /// β (1/s), of r = ė + β e.
     pub beta: f64,
@@ -321,7 +323,7 @@ impl Default for GainsSection {
 /// `[controller.model]`: the chain that the controller believes in; each key defaults to the plant's, without its
 /// `mass_error`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct ModelSection {
     /// Link masses (kg).
     pub mass: Option<PerLink>,
@@ -339,7 +341,7 @@ pub struct ModelSection {
 
 /// `[controller.uncertainty]`: the declared bounds that the certificate allows for.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct UncertaintySection {
     /// μ: largest relative error of a mass, 0 to below 1.
     pub mass: f64,
@@ -372,7 +374,7 @@ pub enum ChainSpec {
 
 /// `[reference]`: the motion to be followed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct ReferenceSection {
     /// Its shape.
     pub kind: ReferenceKind,
@@ -427,7 +429,7 @@ impl Default for ReferenceSection {
 
 /// `[[reference.term]]`: one sine of a `multi-sine`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "a table")]
 pub struct SineTerm {
     /// rad.
     pub amplitude_rad: PerLink,

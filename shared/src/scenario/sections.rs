@@ -3,15 +3,16 @@
 //! Keys without a value of their own are `None` here and get their derived value from an accessor, so that the
 //! defaults follow a changed rate or duration.
 
-use super::names::{Distribution, FaultKind, LawKind, Mode, Restart, Role, Wakeup};
+use super::names::{Distribution, FaultKind, Mode, Restart, Role, Wakeup};
 use super::units::{Hertz, Nanos};
 use super::values::{Cores, SignedNanos, Target, When};
+use crate::law::LawKind;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
 /// `[loop]`: the time grid and what counts as late.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct LoopSection {
     /// Ticks per second.
     pub rate: Hertz,
@@ -112,7 +113,7 @@ impl LoopSection {
 
 /// `[realtime]`: what the processes ask of the kernel; whatever is refused is reported, never fatal.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct RealtimeSection {
     /// SCHED_FIFO priority of the plant, 1 to 98; 0 leaves the ordinary scheduler.
     pub priority: u32,
@@ -132,7 +133,7 @@ impl Default for RealtimeSection {
 
 /// `[supervisor]`: what becomes of a role that dies.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct SupervisorSection {
     /// Policy for controllers.
     pub controller: Restart,
@@ -179,7 +180,7 @@ impl SupervisorSection {
 
 /// `[swap_gate]`: what a controller must show before it is obeyed, and what takes authority from it again.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct SwapGateSection {
     /// On-time, finite, within-limits torques in a row.
     pub consecutive: u32,
@@ -219,7 +220,7 @@ impl Default for SwapGateSection {
 
 /// `[monitor]`: how the group is watched.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default, deny_unknown_fields, expecting = "a table")]
 pub struct MonitorSection {
     /// Interval between two looks at the topics.
     pub poll: Nanos,
@@ -237,12 +238,12 @@ impl Default for MonitorSection {
 
 /// `[[swap]]`: a scheduled change of the controller in charge; exactly one of `law`, `exe`, `to` names the new one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "a table")]
 pub struct SwapSpec {
     /// When.
     pub at: When,
     /// To a new process with this law.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "super::names::optional_law")]
     pub law: Option<LawKind>,
     /// To a new process of this executable.
     #[serde(default)]
@@ -263,13 +264,13 @@ pub struct SwapSpec {
 /// A fault fires in the ticks of its window that pass `every` and `probability`. The window starts at `at` (default tick 0)
 /// and lasts for `for`; without `for` it is the one tick `at` when `at` stands alone, else it lasts to the end.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, expecting = "a table")]
 pub struct FaultSpec {
     /// What happens.
     pub kind: FaultKind,
-    /// To whom; default every controller.
-    #[serde(default = "default_target")]
-    pub target: Target,
+    /// To whom; default see [`FaultSpec::target`].
+    #[serde(default)]
+    pub target: Option<Target>,
     /// First tick.
     #[serde(default)]
     pub at: Option<When>,
@@ -308,6 +309,11 @@ pub struct FaultSpec {
     pub seed: Option<u64>,
 }
 
-fn default_target() -> Target {
-    Target { role: Role::Controller, id: None }
+impl FaultSpec {
+    /// Whom it befalls: as written, else the reference for a stale setpoint and every controller for all the others.
+    #[must_use]
+    pub fn target(&self) -> Target {
+        let role = if self.kind == FaultKind::StaleSetpoint { Role::Reference } else { Role::Controller };
+        self.target.unwrap_or(Target { role, id: None })
+    }
 }

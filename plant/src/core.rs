@@ -1,0 +1,387 @@
+//! The plant without a clock: integrates the chain under the torques that act, and writes the record of each tick.
+//!
+//! Both loops, realtime and lockstep, and the single-process run drive this same code, so that what one proves of it
+//! holds for the others. A tick goes: [`PlantCore::open`] (which closes the tick before), [`PlantCore::arrive`] for
+//! each torque, [`PlantCore::grace_passed`] once, [`PlantCore::note_slack`] in the slack.
+
+use std::collections::VecDeque;
+
+use loopbound_shared::event::{Decision, HappeningKind, ReplyKind};
+use loopbound_shared::integrator::{PlantState, integrate};
+use loopbound_shared::realtime::Evidence;
+use loopbound_shared::sample::{
+    Command, Links, Reply, SEGMENTS_MAX, Segment, State, TickRecord, Torque, record_flag, to_links, to_vector,
+};
+use loopbound_shared::scenario::Scenario;
+use loopbound_shared::setpoints::SetpointBook;
+use loopbound_shared::system::{self, SystemError};
+use loopbound_shared::truth::Truth;
+
+use crate::authority::{Applied, Authority};
+use crate::fallback::Fallback;
+use crate::laws::Laws;
+use crate::swap::SwapRules;
+
+/// Torques under way at once in the transport line of the actuation delay.
+const LINE_MAX: usize = 4096;
+
+/// When a tick opens. All in the loop's clock: CLOCK_MONOTONIC, or virtual in lockstep.
+#[derive(Clone, Copy, Debug)]
+pub struct Opening {
+    /// The tick k.
+    pub tick: u64,
+    /// t_k.
+    pub deadline_ns: u64,
+    /// s_k.
+    pub sampled_ns: u64,
+    /// Torques are on time until then.
+    pub grace_deadline_ns: u64,
+    /// Ticks that were skipped before this one.
+    pub skipped: u64,
+}
+
+/// The plant without a clock. Allocates at construction only.
+pub struct PlantCore<const N: usize> {
+    truth: Truth<N>,
+    laws: Laws<N>,
+    /// Who is obeyed.
+    pub authority: Authority,
+    /// The setpoints that have come.
+    pub setpoints: SetpointBook,
+    fallback: Fallback<N>,
+    state: PlantState<N>,
+    /// t = 0 in the loop's clock.
+    t_0_ns: u64,
+    /// How far the state is integrated.
+    plant_ns: u64,
+    actuation_delay_ns: u64,
+    step_max_ns: u64,
+    rests: bool,
+    acting: Segment,
+    line: VecDeque<Segment>,
+    record: Box<TickRecord>,
+    closed: Box<TickRecord>,
+    has_closed: bool,
+    /// V at the start of the open tick, while a switch is being watched.
+    watched_v: Option<f64>,
+}
+
+impl<const N: usize> PlantCore<N> {
+    /// The plant of a scenario at its start. `rests`: it is held there until the first torque acts (realtime).
+    ///
+    /// # Errors
+    /// If the scenario's chain or motion is none.
+    pub fn new(scenario: &Scenario, rests: bool) -> Result<Self, SystemError> {
+        let truth = system::truth::<N>(scenario)?;
+        let laws = Laws::new(scenario)?;
+        let state = system::start_state::<N>(scenario);
+        Ok(Self {
+            truth,
+            laws,
+            authority: Authority::new(N, SwapRules::of(scenario)),
+            setpoints: SetpointBook::new(scenario.period_ns()),
+            fallback: Fallback::new(scenario)?,
+            state,
+            t_0_ns: 0,
+            plant_ns: 0,
+            actuation_delay_ns: scenario.plant.actuation_delay.ns(),
+            step_max_ns: scenario.loop_.max_step.ns(),
+            rests,
+            acting: Segment::zeroed(),
+            line: VecDeque::with_capacity(LINE_MAX),
+            record: Box::new(TickRecord::zeroed()),
+            closed: Box::new(TickRecord::zeroed()),
+            has_closed: false,
+            watched_v: None,
+        })
+    }
+
+    /// Sets the instant of t = 0; before the first tick.
+    pub fn start_at(&mut self, t_0_ns: u64) {
+        self.t_0_ns = t_0_ns;
+    }
+
+    /// Learns which law a controller claims to be.
+    pub fn learn(&mut self, announce: &loopbound_shared::sample::Announce) {
+        self.laws.learn(announce);
+    }
+
+    /// Closes the tick before, changes authority where that is due, and opens a tick: what is to be published.
+    /// `published_ns` is left for the loop to stamp, by [`PlantCore::stamp_published`].
+    pub fn open(&mut self, at: Opening) -> State {
+        let plant_ns = at.sampled_ns - self.t_0_ns;
+        self.close(at.sampled_ns, plant_ns, at.skipped);
+        let held = self.promise_held(at.tick);
+        let judge = self.laws.at(&self.state, &self.setpoint_value(at.tick, at.sampled_ns - at.deadline_ns));
+        self.authority.switch_if_due(at.tick, held, &judge);
+        self.authority.open(at.tick, at.grace_deadline_ns);
+        self.begin_record(&at, plant_ns);
+        self.brake_if_lost(at.tick);
+        let record = &self.record;
+        State {
+            tick: at.tick,
+            deadline_ns: at.deadline_ns,
+            sampled_ns: at.sampled_ns,
+            published_ns: 0,
+            grace_deadline_ns: at.grace_deadline_ns,
+            plant_ns,
+            setpoint_offset_ns: record.setpoint_offset_ns,
+            active: record.active,
+            epoch: record.epoch,
+            flags: 0,
+            links: record.links,
+            q: record.q_measured,
+            v: record.v_measured,
+        }
+    }
+
+    /// Stamps the publication of the open tick's state.
+    pub fn stamp_published(&mut self, published_ns: u64) {
+        self.record.published_ns = published_ns;
+    }
+
+    /// Judges a torque that arrived at `arrived_ns`; if it is to act, it does so from there (plus the actuation delay).
+    pub fn arrive(&mut self, torque: &Torque, arrived_ns: u64) {
+        if let Some(applied) = self.authority.offer(torque, arrived_ns) {
+            self.apply(&applied);
+        }
+    }
+
+    /// The grace deadline has passed: once a tick, also when all is settled.
+    pub fn grace_passed(&mut self, now_ns: u64) {
+        if let Some(applied) = self.authority.grace_passed(now_ns) {
+            self.apply(&applied);
+        }
+    }
+
+    /// Notes the loop's evidence of the open tick.
+    pub fn note_slack(&mut self, evidence: Evidence, spin_gap_ns: u64, flags: u32) {
+        self.record.evidence = evidence;
+        self.record.spin_gap_ns = self.record.spin_gap_ns.max(spin_gap_ns);
+        self.record.flags |= flags;
+    }
+
+    /// Notes something in the open tick's record.
+    pub fn note_join(&mut self, took_ns: u64) {
+        self.record.flags |= record_flag::JOINED;
+        self.authority.happen(HappeningKind::Joined, 0, took_ns, 0.0);
+    }
+
+    /// The record of the tick that was closed last; none before the first.
+    #[must_use]
+    pub fn closed(&self) -> Option<&TickRecord> {
+        self.has_closed.then_some(&*self.closed)
+    }
+
+    /// Ends the last tick at `end_ns`; its record is marked as the last.
+    pub fn finish(&mut self, end_ns: u64) -> &TickRecord {
+        self.record.flags |= record_flag::LAST;
+        self.close(end_ns, end_ns - self.t_0_ns, 0);
+        &self.closed
+    }
+
+    /// Where the plant is now.
+    #[must_use]
+    pub fn state(&self) -> &PlantState<N> {
+        &self.state
+    }
+
+    /// Carries out what concerns authority; the loop handles start and stop.
+    pub fn command(&mut self, command: &Command) -> Reply {
+        use loopbound_shared::event::{CommandKind, Refusal};
+        let done = Reply { kind: ReplyKind::Done.code(), tick: self.authority.tick, ..Reply::zeroed() };
+        let outcome = match CommandKind::from_code(command.kind) {
+            Some(CommandKind::AddMember) => self.authority.add(command.controller),
+            Some(CommandKind::RemoveMember) => self.authority.remove(command.controller),
+            Some(CommandKind::Swap) => return self.authority.request_swap(command),
+            Some(CommandKind::SwapStatus) => return self.authority.swap_status(),
+            Some(CommandKind::Start | CommandKind::StopAt) | None => Err(Refusal::BadCommand),
+        };
+        outcome.map_or_else(Authority::refused, |()| done)
+    }
+
+    fn apply(&mut self, applied: &Applied) {
+        let (tau, saturated) = self.truth.saturate(&to_vector::<N>(&applied.tau));
+        let tick = self.authority.tick;
+        let record = &mut self.record;
+        if saturated {
+            record.flags |= record_flag::SATURATED;
+            self.authority.counters.saturated += 1;
+        }
+        record.accepted_ns = applied.from_ns;
+        [record.used_q_d, record.used_v_d, record.used_a_d] = applied.setpoint;
+        self.fallback.answered();
+        self.enqueue(Segment {
+            from_plant_ns: applied.from_ns - self.t_0_ns + self.actuation_delay_ns,
+            answered_tick: tick,
+            writer: applied.writer,
+            epoch: applied.epoch,
+            tau: to_links(&tau),
+        });
+    }
+
+    fn enqueue(&mut self, segment: Segment) {
+        if self.line.len() < LINE_MAX {
+            self.line.push_back(segment);
+        } else {
+            self.authority.counters.segments_dropped += 1;
+        }
+    }
+
+    /// Integrates to `to_ns` of plant time, each torque from its instant on, and notes the segments in the record.
+    fn advance(&mut self, to_ns: u64) {
+        while self.line.front().is_some_and(|next| next.from_plant_ns <= self.plant_ns) {
+            self.act_next();
+        }
+        self.note_segment();
+        while let Some(next_ns) = self.line.front().map(|next| next.from_plant_ns).filter(|ns| *ns < to_ns) {
+            self.integrate_to(next_ns);
+            self.act_next();
+            self.note_segment();
+        }
+        self.integrate_to(to_ns);
+    }
+
+    fn act_next(&mut self) {
+        if let Some(next) = self.line.pop_front() {
+            self.acting = next;
+            self.rests = false;
+        }
+    }
+
+    fn integrate_to(&mut self, to_ns: u64) {
+        if !self.rests && to_ns > self.plant_ns {
+            let tau = to_vector(&self.acting.tau);
+            self.state = integrate(&self.truth, &self.state, &tau, self.plant_ns, to_ns, self.step_max_ns);
+        }
+        self.plant_ns = self.plant_ns.max(to_ns);
+    }
+
+    fn note_segment(&mut self) {
+        let used = self.record.segments_used as usize;
+        if used < SEGMENTS_MAX {
+            self.record.segments[used] = self.acting;
+            self.record.segments_used += 1;
+        } else {
+            self.authority.counters.segments_dropped += 1;
+        }
+    }
+
+    fn close(&mut self, end_ns: u64, end_plant_ns: u64, skipped: u64) {
+        if self.record.links == 0 {
+            // Nothing is open before the first tick.
+            self.plant_ns = end_plant_ns;
+            return;
+        }
+        self.advance(end_plant_ns);
+        let decision = self.authority.decision().unwrap_or(if self.rests {
+            Decision::Rest
+        } else {
+            self.fallback.decision()
+        });
+        if self.authority.decision().is_none() && !self.rests {
+            let v = self.laws.robust_v(&self.record);
+            self.fallback.unanswered(&self.record, v, &self.acting.tau);
+        }
+        self.authority.close(decision);
+        self.authority.counters.skipped += skipped;
+        self.authority.counters.missed += skipped;
+        self.authority.counters.overruns += u64::from(skipped > 0);
+        let (receipts, receipts_used) = self.authority.receipts();
+        let record = &mut self.record;
+        record.end_ns = end_ns;
+        record.end_plant_ns = end_plant_ns;
+        record.decision = decision.code();
+        (record.active, record.epoch) = self.authority.active();
+        record.receipts = *receipts;
+        record.receipts_used = u32::try_from(receipts_used).unwrap_or(0);
+        let (happenings, happenings_used) = self.authority.take_happenings();
+        record.happenings = happenings;
+        record.happenings_used = u32::try_from(happenings_used).unwrap_or(0);
+        record.counters = self.authority.counters;
+        std::mem::swap(&mut self.record, &mut self.closed);
+        self.has_closed = true;
+    }
+
+    fn begin_record(&mut self, at: &Opening, plant_ns: u64) {
+        let offset_ns = at.sampled_ns - at.deadline_ns;
+        let (active, epoch) = self.authority.active();
+        let found = self.setpoints.at::<N>(at.tick, offset_ns);
+        let mut flags = if self.rests { record_flag::AT_REST } else { 0 };
+        match &found {
+            None => flags |= record_flag::SETPOINT_NONE,
+            Some(found) if found.stale => {
+                flags |= record_flag::SETPOINT_STALE;
+                self.authority.counters.setpoint_stale += 1;
+            }
+            Some(_) => {}
+        }
+        let setpoint = found.map_or_else(|| system::rest_at(&self.state), |found| found.value);
+        let (q, v) = self.truth.measure(&self.state.q, &self.state.v, at.tick);
+        let record = &mut self.record;
+        **record = TickRecord {
+            tick: at.tick,
+            deadline_ns: at.deadline_ns,
+            sampled_ns: at.sampled_ns,
+            grace_deadline_ns: at.grace_deadline_ns,
+            start_plant_ns: plant_ns,
+            setpoint_offset_ns: offset_ns,
+            setpoint_tick: found.map_or(0, |found| found.tick),
+            skipped_before: at.skipped,
+            active,
+            epoch,
+            flags,
+            links: u32::try_from(N).unwrap_or(0),
+            q: to_links(&self.state.q),
+            v: to_links(&self.state.v),
+            q_measured: to_links(&q),
+            v_measured: to_links(&v),
+            q_d: to_links(&setpoint.q_d),
+            v_d: to_links(&setpoint.v_d),
+            a_d: to_links(&setpoint.a_d),
+            disturbance: to_links(&self.truth.disturbance(loopbound_shared::clock::seconds(plant_ns))),
+            ..TickRecord::zeroed()
+        };
+    }
+
+    fn setpoint_value(&self, tick: u64, offset_ns: u64) -> loopbound_shared::trajectory::SetpointValue<N> {
+        self.setpoints.at(tick, offset_ns).map_or_else(|| system::rest_at(&self.state), |found| found.value)
+    }
+
+    /// With nobody answering for longer than the last torque may be held, the plant brakes by itself from s_k on.
+    fn brake_if_lost(&mut self, tick: u64) {
+        let (measured_q, measured_v) = (to_vector::<N>(&self.record.q_measured), to_vector::<N>(&self.record.v_measured));
+        let Some(tau) = self.fallback.brake(self.record.start_plant_ns, &measured_q, &measured_v) else { return };
+        if let Some((rung, ticks)) = self.fallback.take_change() {
+            self.authority.happen(HappeningKind::Fallback, rung.code(), ticks, 0.0);
+        }
+        let (tau, _) = self.truth.saturate(&tau);
+        let tau: Links = to_links(&tau);
+        self.line.clear();
+        self.line.push_back(Segment {
+            from_plant_ns: self.record.start_plant_ns,
+            answered_tick: tick,
+            writer: 0,
+            epoch: self.authority.active().1,
+            tau,
+        });
+    }
+
+    /// Promise (a) over the tick that was just closed; looked at only while a switch is being watched.
+    fn promise_held(&mut self, tick: u64) -> bool {
+        if self.authority.watch.is_none() {
+            self.watched_v = None;
+            return true;
+        }
+        let active = self.authority.active().0;
+        let setpoint = self.setpoint_value(tick, self.plant_offset(tick));
+        let Some((certificate, v)) = self.laws.v_of(active, &self.state, &setpoint) else { return true };
+        let before = self.watched_v.replace(v);
+        let h_ns = self.closed.end_plant_ns - self.closed.start_plant_ns;
+        before.is_none_or(|before| before > certificate.level || Laws::<N>::promise_holds(certificate, before, v, h_ns))
+    }
+
+    fn plant_offset(&self, tick: u64) -> u64 {
+        self.plant_ns.saturating_sub(tick * self.setpoints.period_ns())
+    }
+}

@@ -1,0 +1,93 @@
+//! What acts when no controller answers: the last torque for as long as the certificate allows, then the plant's own
+//! damping with gravity compensation, then, once all is slow, the same as a safe stop.
+
+use loopbound_shared::bound::certificate::Certificate;
+use loopbound_shared::bound::stability::hold_limit_s;
+use loopbound_shared::chain::{Chain, Vector};
+use loopbound_shared::clock::seconds;
+use loopbound_shared::event::Decision;
+use loopbound_shared::law::LawKind;
+use loopbound_shared::sample::{Links, TickRecord};
+use loopbound_shared::scenario::Scenario;
+use loopbound_shared::system::{self, SystemError};
+
+/// Below this speed of every link (rad/s) braking counts as a stop.
+const STOPPED_RAD_S: f64 = 1e-3;
+/// The damping is this share of what sampling allows (K h < 2 λ_min, see [11]) …
+const DAMPING_SHARE: f64 = 0.125;
+/// … and at most this, N·m·s.
+const DAMPING_MAX: f64 = 20.0;
+
+/// The fallback ladder.
+pub(crate) struct Fallback<const N: usize> {
+    certificate: Certificate,
+    model: Chain<N>,
+    damping: f64,
+    period_ns: u64,
+    /// Ticks in a row that nobody answered.
+    ticks: u64,
+    /// The last torque may be held until then; set by the first unanswered tick.
+    hold_until_plant_ns: u64,
+    rung: Decision,
+    changed: bool,
+}
+
+impl<const N: usize> Fallback<N> {
+    pub(crate) fn new(scenario: &Scenario) -> Result<Self, SystemError> {
+        let certificate = system::certificate_of::<N>(scenario, LawKind::Robust)?;
+        let period_ns = scenario.period_ns();
+        let damping = (DAMPING_SHARE * 2.0 * certificate.lambda_lo / seconds(period_ns)).min(DAMPING_MAX);
+        Ok(Self {
+            certificate,
+            model: system::nominal_chain(scenario)?,
+            damping,
+            period_ns,
+            ticks: 0,
+            hold_until_plant_ns: 0,
+            rung: Decision::Held,
+            changed: false,
+        })
+    }
+
+    /// A controller's torque was accepted: the ladder is left.
+    pub(crate) fn answered(&mut self) {
+        if self.rung != Decision::Held {
+            self.changed = true;
+        }
+        (self.ticks, self.rung) = (0, Decision::Held);
+    }
+
+    /// The tick of `record` went unanswered; `v` is V of `robust` at its start if that is certified.
+    pub(crate) fn unanswered(&mut self, record: &TickRecord, v: Option<f64>, held: &Links) {
+        if self.ticks == 0 {
+            let norm = held.iter().map(|x| x * x).sum::<f64>().sqrt();
+            // [13], counted from the instant at which V was read; nothing is certified: nothing is held.
+            let hold_s = v.map_or(0.0, |v| hold_limit_s(&self.certificate, v, norm));
+            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "finite, not negative, capped")]
+            let hold_ns = (hold_s.clamp(0.0, 10.0) * 1e9) as u64;
+            self.hold_until_plant_ns = record.start_plant_ns + hold_ns;
+        }
+        self.ticks += 1;
+    }
+
+    /// The rung that a tick without an answer counts under.
+    pub(crate) fn decision(&self) -> Decision {
+        self.rung
+    }
+
+    /// The plant's own torque from `plant_ns` on, if the time to hold ends within the coming tick.
+    pub(crate) fn brake(&mut self, plant_ns: u64, q: &Vector<N>, v: &Vector<N>) -> Option<Vector<N>> {
+        if self.ticks == 0 || plant_ns + self.period_ns <= self.hold_until_plant_ns {
+            return None;
+        }
+        let rung = if v.amax() < STOPPED_RAD_S { Decision::Stopped } else { Decision::Damped };
+        self.changed |= rung != self.rung;
+        self.rung = rung;
+        Some(self.model.gravity(q) - v * self.damping)
+    }
+
+    /// The rung and the ticks gone unanswered, once after each change.
+    pub(crate) fn take_change(&mut self) -> Option<(Decision, u64)> {
+        std::mem::take(&mut self.changed).then_some((self.rung, self.ticks))
+    }
+}

@@ -1,0 +1,115 @@
+//! What the plant knows of the controllers' laws: enough to evaluate V, for the swap gate, the promise after a swap
+//! and the time that a torque may be held.
+
+use loopbound_shared::bound::certificate::Certificate;
+use loopbound_shared::chain::Chain;
+use loopbound_shared::clock::seconds;
+use loopbound_shared::event::Role;
+use loopbound_shared::integrator::PlantState;
+use loopbound_shared::law::{LawInput, LawKind};
+use loopbound_shared::sample::{Announce, RECEIPTS_MAX, TickRecord, to_vector};
+use loopbound_shared::scenario::Scenario;
+use loopbound_shared::system::{self, SystemError};
+use loopbound_shared::trajectory::SetpointValue;
+
+use crate::swap::Judge;
+
+/// V is compared with this much room: the error of the integration of V̇ is far below it.
+const TOLERANCE: f64 = 1e-6;
+
+/// Certificates of all laws in this scenario, and which controller claims which.
+pub(crate) struct Laws<const N: usize> {
+    true_chain: Chain<N>,
+    certificates: [Certificate; LawKind::ALL.len()],
+    claims: [Option<(u32, usize)>; RECEIPTS_MAX],
+}
+
+impl<const N: usize> Laws<N> {
+    pub(crate) fn new(scenario: &Scenario) -> Result<Self, SystemError> {
+        let mut certificates = [system::certificate_of::<N>(scenario, LawKind::Robust)?; LawKind::ALL.len()];
+        for (place, law) in certificates.iter_mut().zip(LawKind::ALL) {
+            *place = system::certificate_of::<N>(scenario, law)?;
+        }
+        Ok(Self { true_chain: system::true_chain(scenario)?, certificates, claims: [None; RECEIPTS_MAX] })
+    }
+
+    /// A controller claims a law; only one whose gains are those of the scenario's certificate counts as it.
+    pub(crate) fn learn(&mut self, announce: &Announce) {
+        if announce.role != Role::Controller.code() {
+            return;
+        }
+        let law = (announce.law as usize).checked_sub(1).filter(|law| *law < self.certificates.len());
+        let same_gains = |law: &usize| {
+            let certificate = &self.certificates[*law];
+            match LawKind::ALL[*law] {
+                LawKind::Robust | LawKind::RobustFf => announce.k_t.to_bits() == certificate.k_t.to_bits(),
+                LawKind::Ctc | LawKind::PdG => {
+                    announce.k_p.to_bits() == certificate.k_p.to_bits()
+                        && announce.k_d.to_bits() == certificate.k_d.to_bits()
+                }
+            }
+        };
+        let law = law.filter(same_gains);
+        let id = announce.id;
+        for claim in self.claims.iter_mut().filter(|c| c.is_some_and(|(of, _)| of == id)) {
+            *claim = None;
+        }
+        if let Some(law) = law
+            && let Some(place) = self.claims.iter_mut().find(|c| c.is_none())
+        {
+            *place = Some((id, law));
+        }
+    }
+
+    fn certificate(&self, id: u32) -> Option<&Certificate> {
+        let law = self.claims.iter().flatten().find(|(of, _)| *of == id)?.1;
+        Some(&self.certificates[law]).filter(|c| c.is_certified())
+    }
+
+    /// The certificate of controller `id` and V of its law at a state; none where nothing is certified.
+    pub(crate) fn v_of(
+        &self,
+        id: u32,
+        state: &PlantState<N>,
+        setpoint: &SetpointValue<N>,
+    ) -> Option<(&Certificate, f64)> {
+        let certificate = self.certificate(id)?;
+        Some((certificate, certificate.v(&self.true_chain, &system::input(state, setpoint))))
+    }
+
+    /// V of `robust` at the start of a record, for the hold limit; none if `robust` is not certified here.
+    pub(crate) fn robust_v(&self, record: &TickRecord) -> Option<f64> {
+        let certificate = self.certificates.first().filter(|c| c.is_certified())?;
+        let input = LawInput {
+            q: to_vector(&record.q),
+            v: to_vector(&record.v),
+            q_d: to_vector(&record.q_d),
+            v_d: to_vector(&record.v_d),
+            a_d: to_vector(&record.a_d),
+        };
+        Some(certificate.v(&self.true_chain, &input))
+    }
+
+    /// Promise (a) over an interval.
+    pub(crate) fn promise_holds(certificate: &Certificate, before: f64, after: f64, h_ns: u64) -> bool {
+        after <= certificate.promised(before, seconds(h_ns)) + TOLERANCE * (1.0 + before)
+    }
+
+    /// This knowledge at one state, as the swap gate asks for it.
+    pub(crate) fn at(&self, state: &PlantState<N>, setpoint: &SetpointValue<N>) -> At<'_, N> {
+        At { laws: self, state: *state, setpoint: *setpoint }
+    }
+}
+
+/// The laws at one state.
+pub(crate) struct At<'a, const N: usize> {
+    laws: &'a Laws<N>,
+    state: PlantState<N>,
+    setpoint: SetpointValue<N>,
+}
+
+impl<const N: usize> Judge for At<'_, N> {
+    fn level(&self, id: u32) -> Option<(f64, f64)> {
+        self.laws.v_of(id, &self.state, &self.setpoint).map(|(certificate, v)| (v, certificate.level))
+    }
+}
