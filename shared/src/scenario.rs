@@ -9,6 +9,7 @@ mod keys;
 mod load;
 mod names;
 mod physics;
+mod reference;
 mod resolve;
 mod sections;
 mod units;
@@ -20,8 +21,9 @@ pub use expect::{Budget, Comparator, ExpectSection, Expectation, parse_condition
 pub use names::{Distribution, DisturbanceKind, FaultKind, Mode, ReferenceKind, Restart, Role, Wakeup, nearest};
 pub use physics::{
     ChainSpec, ControllerSection, DisturbanceSpec, DisturbanceTerm, FrictionSection, GainsSection, ModelSection,
-    Motion, NoiseSection, PlantSection, ReferenceSection, SineTerm, UncertaintySection,
+    NoiseSection, PlantSection, UncertaintySection,
 };
+pub use reference::{Motion, ReferenceSection, SineTerm};
 pub use sections::{
     FaultSpec, LoopSection, MonitorSection, RealtimeSection, SupervisorSection, SwapGateSection, SwapSpec,
 };
@@ -130,3 +132,6 @@ impl Scenario {
         self.expect.max_duration.map_or(default, Nanos::ns).max(self.loop_.duration.ns())
     }
 }
+
+#[cfg(test)]
+mod tests;

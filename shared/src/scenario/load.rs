@@ -4,7 +4,7 @@ use super::Scenario;
 use super::error::{Place, ScenarioError};
 use super::keys::{KeyMap, check_assigned};
 use serde::de::DeserializeOwned;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use toml::de::DeTable;
 use toml::{Table, Value};
 
@@ -17,10 +17,8 @@ impl Scenario {
         let text =
             std::fs::read_to_string(path).map_err(|source| ScenarioError::Read { path: path.to_owned(), source })?;
         let mut scenario = Self::from_toml(&text, &path.display().to_string())?;
-        // A file that a scenario names lies beside it, wherever the command is started.
-        if let (Some(file), Some(folder)) = (&mut scenario.reference.file, path.parent()) {
-            *file = folder.join(&*file);
-        }
+        // What a scenario names lies beside it, wherever the command is started, and also for a role that reads a copy.
+        scenario.anchor_paths(path.parent().unwrap_or(Path::new("")));
         Ok(scenario)
     }
 
@@ -75,9 +73,24 @@ impl Scenario {
             let last = set.iter().rev().find(|(path, _)| reaches(path) || path.starts_with(key));
             last.map_or(Place::Nowhere, |(_, assignment)| Place::Set((*assignment).to_owned()))
         };
-        let scenario: Self = typed(table).map_err(|error| error.at(place))?;
+        let mut scenario: Self = typed(table).map_err(|error| error.at(place))?;
         scenario.validate().map_err(|error| error.at(place))?;
+        scenario.anchor_paths(Path::new(""));
         Ok(scenario)
+    }
+
+    /// Makes the paths in this scenario absolute, as seen from `folder`; an executable's bare name is left to the search
+    /// path of the shell.
+    fn anchor_paths(&mut self, folder: &Path) {
+        let absolute = |file: &mut PathBuf| {
+            // The working directory may be gone; then the path stays as it is, and opening it says so.
+            if let Ok(path) = std::path::absolute(folder.join(&*file)) {
+                *file = path;
+            }
+        };
+        let executables = self.swap.iter_mut().filter_map(|swap| swap.exe.as_mut()).chain(self.controller.exe.as_mut());
+        executables.filter(|exe| exe.components().count() > 1).for_each(absolute);
+        self.reference.file.iter_mut().for_each(absolute);
     }
 
     /// The scenario as TOML with all defaults filled in; reading it gives [`Self::resolved`] again, bit for bit.
@@ -110,7 +123,9 @@ impl super::ExpectSection {
             other => other,
         })?;
         let scenario = Scenario { expect: section, ..Scenario::default() };
-        scenario.validate().map_err(|error| error.at(place))?;
+        let unprefixed =
+            |key: &str| place(if prefix.is_empty() { key.strip_prefix("expect.").unwrap_or(key) } else { key });
+        scenario.validate().map_err(|error| error.at(unprefixed))?;
         Ok(scenario.expect)
     }
 }

@@ -268,7 +268,7 @@ pub struct SwapSpec {
 pub struct FaultSpec {
     /// What happens.
     pub kind: FaultKind,
-    /// To whom; default see [`FaultSpec::target`].
+    /// To whom; the default depends on the kind, see `target()`.
     #[serde(default)]
     pub target: Option<Target>,
     /// First tick.

@@ -4,7 +4,8 @@ use super::{finite, not_negative, positive, refuse, require};
 use crate::chain::LINKS_MAX;
 use crate::scenario::error::ScenarioError;
 use crate::scenario::names::{DisturbanceKind, ReferenceKind};
-use crate::scenario::physics::{DisturbanceSpec, ReferenceSection};
+use crate::scenario::physics::DisturbanceSpec;
+use crate::scenario::reference::ReferenceSection;
 use crate::scenario::values::PerLink;
 use crate::scenario::{Nanos, Scenario};
 
