@@ -85,17 +85,13 @@ impl<const N: usize> Truth<N> {
     /// # Errors
     /// Names the parameter, the value found and what is allowed.
     pub fn validate(&self) -> Result<(), TruthError> {
-        let not_negative = |field: &'static str, values: &[f64]| match values.iter().find(|x| !(**x >= 0.0)) {
-            Some(&value) => Err(TruthError { field, value, allowed: "a number >= 0" }),
-            None => all_finite(field, values),
-        };
         not_negative("viscous_nm_s", &self.viscous_nm_s)?;
         not_negative("coulomb_nm", &self.coulomb_nm)?;
         not_negative("noise_q_rad", &[self.noise_q_rad])?;
         not_negative("noise_v_rad_s", &[self.noise_v_rad_s])?;
         not_negative("quant_q_rad", &[self.quant_q_rad])?;
         not_negative("quant_v_rad_s", &[self.quant_v_rad_s])?;
-        if let Some(&value) = self.torque_limit_nm.iter().find(|limit| !(**limit > 0.0)) {
+        if let Some(&value) = self.torque_limit_nm.iter().find(|limit| limit.is_nan() || **limit <= 0.0) {
             return Err(TruthError { field: "torque_limit_nm", value, allowed: "a number > 0, or inf for no limit" });
         }
         self.disturbance.validate()
@@ -165,6 +161,14 @@ impl<const N: usize> Truth<N> {
             }
         }
         (delivered, limited)
+    }
+}
+
+/// Refuses a value that is negative, infinite or not a number.
+fn not_negative(field: &'static str, values: &[f64]) -> Result<(), TruthError> {
+    match values.iter().find(|value| !value.is_finite() || **value < 0.0) {
+        Some(&value) => Err(TruthError { field, value, allowed: "a finite number >= 0" }),
+        None => Ok(()),
     }
 }
 

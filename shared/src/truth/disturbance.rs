@@ -2,7 +2,7 @@
 
 use core::f64::consts::TAU;
 
-use super::{TruthError, all_finite};
+use super::{TruthError, all_finite, not_negative};
 use crate::chain::Vector;
 use crate::rng::{Stream, uniform};
 
@@ -112,7 +112,7 @@ impl<const N: usize> BandNoise<N> {
     /// # Errors
     /// A value that is negative or not finite, or an empty band.
     pub fn with_rms(rms_nm: [f64; N], low_hz: f64, high_hz: f64, seed: u64, index: u64) -> Result<Self, TruthError> {
-        check_not_negative("rms_nm", &rms_nm)?;
+        not_negative("rms_nm", &rms_nm)?;
         // A sinusoid of amplitude A has the mean square A²/2, and those of different frequencies add.
         let wave_nm = rms_nm.map(|rms| rms * (2.0 / WAVES as f64).sqrt());
         Self::with_waves(wave_nm, low_hz, high_hz, seed, index)
@@ -129,13 +129,13 @@ impl<const N: usize> BandNoise<N> {
         seed: u64,
         index: u64,
     ) -> Result<Self, TruthError> {
-        check_not_negative("bound_nm", &bound_nm)?;
+        not_negative("bound_nm", &bound_nm)?;
         Self::with_waves(bound_nm.map(|bound| bound / WAVES as f64), low_hz, high_hz, seed, index)
     }
 
     fn with_waves(wave_nm: [f64; N], low_hz: f64, high_hz: f64, seed: u64, index: u64) -> Result<Self, TruthError> {
-        check_not_negative("low_hz", &[low_hz])?;
-        check_not_negative("high_hz", &[high_hz])?;
+        not_negative("low_hz", &[low_hz])?;
+        not_negative("high_hz", &[high_hz])?;
         if high_hz <= low_hz {
             return Err(TruthError { field: "high_hz", value: high_hz, allowed: "a number > low_hz" });
         }
@@ -179,12 +179,4 @@ impl<const N: usize> BandNoise<N> {
 #[expect(clippy::cast_possible_truncation, reason = "there are 16 waves")]
 fn lane_of(wave: usize) -> u32 {
     wave as u32
-}
-
-fn check_not_negative(field: &'static str, values: &[f64]) -> Result<(), TruthError> {
-    all_finite(field, values)?;
-    match values.iter().find(|&&value| value < 0.0) {
-        Some(&value) => Err(TruthError { field, value, allowed: "a number >= 0" }),
-        None => Ok(()),
-    }
 }

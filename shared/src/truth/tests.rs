@@ -76,7 +76,7 @@ fn noise_has_its_root_mean_square_and_keeps_to_its_band() {
     let noise = BandNoise::with_rms(rms, low_hz, high_hz, 4, 0).unwrap();
     let (count, dt) = (200_000u32, 1e-3);
     let tau = core::f64::consts::TAU;
-    for link in 0..2 {
+    for (link, expected) in rms.into_iter().enumerate() {
         let mut mean_square = 0.0;
         let mut outside = [0.0; 4];
         for k in 0..count {
@@ -88,9 +88,9 @@ fn noise_has_its_root_mean_square_and_keeps_to_its_band() {
             }
         }
         // Over T = 200 s the cross terms of waves at least δ apart average to some 1/(δ T); waves may be 0.1 Hz apart.
-        assert!((mean_square.sqrt() / rms[link] - 1.0).abs() < 0.05, "link {link}: {mean_square}");
+        assert!((mean_square.sqrt() / expected - 1.0).abs() < 0.05, "link {link}: {mean_square}");
         // A wave at least 1 Hz away correlates by at most A/(2π T · 1 Hz) over T.
-        assert!(outside.iter().all(|probe| probe.abs() < 0.02 * rms[link]), "link {link}: {outside:?}");
+        assert!(outside.iter().all(|probe| probe.abs() < 0.02 * expected), "link {link}: {outside:?}");
     }
     assert_eq!(noise, BandNoise::with_rms(rms, low_hz, high_hz, 4, 0).unwrap());
     assert_ne!(noise, BandNoise::with_rms(rms, low_hz, high_hz, 4, 1).unwrap());
@@ -136,7 +136,7 @@ fn actuators_clip_each_torque_with_its_sign_and_say_so() {
 fn parameters_out_of_range_are_refused_by_name() {
     let refusal = |truth: Truth<3>| truth.validate().unwrap_err().to_string();
     truth().validate().unwrap();
-    assert_eq!(refusal(Truth { noise_q_rad: -1.0, ..truth() }), "noise_q_rad is -1, allowed: a number >= 0");
+    assert_eq!(refusal(Truth { noise_q_rad: -1.0, ..truth() }), "noise_q_rad is -1, allowed: a finite number >= 0");
     assert!(refusal(Truth { viscous_nm_s: [0.0, f64::NAN, 0.0], ..truth() }).starts_with("viscous_nm_s is NaN"));
     assert!(refusal(Truth { coulomb_nm: [f64::INFINITY; 3], ..truth() }).starts_with("coulomb_nm is inf"));
     assert!(refusal(Truth { torque_limit_nm: [1.0, 0.0, 1.0], ..truth() }).starts_with("torque_limit_nm is 0"));
