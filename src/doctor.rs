@@ -94,9 +94,9 @@ pub fn examine() -> Report {
 pub fn report(root: &Path, live: &Live) -> Report {
     let tree = Tree::new(root);
     let mut findings = vec![
-        privileges::sched_fifo(live),
+        privileges::sched_fifo(&tree, live),
         privileges::dma_latency(&tree),
-        privileges::memory_lock(live),
+        privileges::memory_lock(&tree, live),
         privileges::shared_memory(&tree),
         kernel::throttling(&tree),
         live.stalls_finding(),

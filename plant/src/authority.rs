@@ -111,15 +111,40 @@ impl Authority {
         (self.active, self.epoch)
     }
 
+    /// The open tick.
+    #[must_use]
+    pub fn tick(&self) -> u64 {
+        self.tick
+    }
+
+    /// Moves the grace deadline of the open tick: it counts from the publication of the state.
+    pub fn grace_until(&mut self, grace_ns: u64) {
+        self.grace_ns = grace_ns;
+    }
+
+    /// Counts a torque that came when its tick was over.
+    pub fn count_stale(&mut self) {
+        self.counters.stale += 1;
+    }
+
+    /// Notes a torque that came after the cut-off of the open tick, or belongs to an earlier one: never applied. A
+    /// standby's answer in time that had not been looked at yet is noted as such.
+    pub fn too_late(&mut self, torque: &Torque) {
+        let in_time = torque.tick == self.tick && torque.published_ns <= self.grace_ns;
+        if in_time && self.is_settled() {
+            // Settled: whatever it is, it can't act any more.
+            let unused = self.offer(torque, torque.published_ns);
+            debug_assert!(unused.is_none(), "a settled tick applies nothing more");
+        } else if torque.tick == self.tick && self.is_settled() {
+            let _ = self.offer(torque, u64::MAX);
+        } else {
+            self.count_stale();
+        }
+    }
+
     /// Ids of the members that a tick has to wait for in lockstep.
     pub fn member_ids(&self) -> impl Iterator<Item = u32> + '_ {
         self.members.iter().flatten().map(|m| m.id)
-    }
-
-    /// Whether anything, good or not, came from every member in the open tick.
-    #[must_use]
-    pub fn all_heard(&self) -> bool {
-        self.members.iter().flatten().all(|m| m.heard)
     }
 
     pub(crate) fn member(&mut self, id: u32) -> Option<&mut Member> {

@@ -135,9 +135,32 @@ impl<const N: usize> PlantCore<N> {
         }
     }
 
-    /// Stamps the publication of the open tick's state.
-    pub fn stamp_published(&mut self, published_ns: u64) {
-        self.record.published_ns = published_ns;
+    /// Stamps the publication of the open tick's state, from which the grace deadline counts.
+    pub fn stamp_published(&mut self, published_ns: u64, grace_deadline_ns: u64) {
+        (self.record.published_ns, self.record.grace_deadline_ns) = (published_ns, grace_deadline_ns);
+        self.authority.grace_until(grace_deadline_ns);
+    }
+
+    /// Whether any tick was opened yet.
+    #[must_use]
+    pub fn has_opened(&self) -> bool {
+        self.record.links != 0
+    }
+
+    /// The evidence noted in the open tick so far.
+    #[must_use]
+    pub fn evidence(&self) -> Evidence {
+        self.record.evidence
+    }
+
+    /// Runs the code of a tick without effect, so that the first one finds it warm.
+    pub fn rehearse(&mut self) {
+        for _ in 0..256 {
+            let tau = to_vector(&self.acting.tau);
+            std::hint::black_box(integrate(&self.truth, &self.state, &tau, 0, 1_000_000, self.step_max_ns));
+            std::hint::black_box(self.truth.measure(&self.state.q, &self.state.v, 0));
+            std::hint::black_box(self.setpoints.at::<N>(0, 1));
+        }
     }
 
     /// Judges a torque that arrived at `arrived_ns`; if it is to act, it does so from there (plus the actuation delay).
@@ -189,7 +212,7 @@ impl<const N: usize> PlantCore<N> {
     /// Carries out what concerns authority; the loop handles start and stop.
     pub fn command(&mut self, command: &Command) -> Reply {
         use loopbound_shared::event::{CommandKind, Refusal};
-        let done = Reply { kind: ReplyKind::Done.code(), tick: self.authority.tick, ..Reply::zeroed() };
+        let done = Reply { kind: ReplyKind::Done.code(), tick: self.authority.tick(), ..Reply::zeroed() };
         let outcome = match CommandKind::from_code(command.kind) {
             Some(CommandKind::AddMember) => self.authority.add(command.controller),
             Some(CommandKind::RemoveMember) => self.authority.remove(command.controller),
@@ -202,7 +225,7 @@ impl<const N: usize> PlantCore<N> {
 
     fn apply(&mut self, applied: &Applied) {
         let (tau, saturated) = self.truth.saturate(&to_vector::<N>(&applied.tau));
-        let tick = self.authority.tick;
+        let tick = self.authority.tick();
         let record = &mut self.record;
         if saturated {
             record.flags |= record_flag::SATURATED;

@@ -1,1 +1,66 @@
-//! placeholder
+//! The plant of a group: integrates the chain, publishes its state every tick, and decides which torque acts.
+//!
+//! [`core`] is the plant without a clock, [`authority`] with [`swap`] decides who is obeyed, `fallback` what acts when
+//! nobody answers. The two loops differ in their clock only: `realtime` runs on the machine's, `lockstep` on virtual time.
+
+pub mod authority;
+pub mod core;
+mod fallback;
+mod laws;
+mod lockstep;
+mod ports;
+mod realtime;
+pub mod swap;
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use loopbound_shared::clock;
+use loopbound_shared::event::{Phase, Role};
+use loopbound_shared::realtime as privileges;
+use loopbound_shared::role::{self, RoleArgs, RoleError};
+use loopbound_shared::sample::Announce;
+use loopbound_shared::scenario::{Mode, Scenario};
+use loopbound_shared::with_links;
+
+pub use crate::core::{Opening, PlantCore};
+use crate::ports::Ports;
+
+/// Runs the plant until its last tick, or until `stop` is set.
+///
+/// # Errors
+/// If the group can't be joined or its scenario describes no system.
+pub fn run(args: &RoleArgs, stop: &'static AtomicBool) -> Result<(), RoleError> {
+    let links = Scenario::load(&args.scenario)?.links();
+    with_links!(links, with::<N>(args, stop))
+}
+
+fn with<const N: usize>(args: &RoleArgs, stop: &'static AtomicBool) -> Result<(), RoleError> {
+    let joined = role::join(args)?;
+    let request = role::realtime_request(&joined.scenario, Role::Plant);
+    let mode = joined.scenario.loop_.mode;
+    let core = PlantCore::<N>::new(&joined.scenario, mode == Mode::Realtime);
+    let mut core = core.map_err(|e| RoleError::Other(e.to_string()))?;
+    let ports = Ports::open(joined, args.id)?;
+    let mut entered = privileges::enter(&request);
+    entered.populate_shared(&[ports.joined.group.prefix().as_str()]);
+    let ready = role::announce(Role::Plant, args.id, Phase::Ready, N, entered.privileges(), "plant");
+    // Whatever ends this function, the others learn that there is no plant any more.
+    let _ended = Ended(&ports);
+    ports.update_connections();
+    ports.announce.send(ready);
+    let stopped = || stop.load(Ordering::Relaxed);
+    match mode {
+        Mode::Lockstep => lockstep::run(&mut core, &ports, &stopped),
+        Mode::Realtime => realtime::run(&mut core, &ports, &stopped),
+    }
+    ports.announce.send(Announce { phase: Phase::Ended.code(), published_ns: clock::now_ns(), ..ready });
+    Ok(())
+}
+
+struct Ended<'a>(&'a Ports);
+
+impl Drop for Ended<'_> {
+    fn drop(&mut self) {
+        self.0.tell_end();
+    }
+}

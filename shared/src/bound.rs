@@ -18,5 +18,6 @@ pub mod certificate;
 pub mod envelope;
 pub mod lyapunov;
 pub mod remedy;
+pub mod stability;
 #[cfg(test)]
 mod testing;

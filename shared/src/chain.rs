@@ -97,7 +97,7 @@ pub enum ChainError {
     },
 }
 
-/// Coefficients of the chain: a_ij (kg·m²) and b_i (N·m), see [1]–[3].
+/// Coefficients of the chain: a_ij (kg·m²) and b_i (N·m), see \[1]–\[3].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Chain<const N: usize> {
     a: Matrix<N>,
@@ -144,7 +144,7 @@ impl<const N: usize> Chain<N> {
         Self::from_coefficients(a, b)
     }
 
-    /// The chain with the coefficients a (kg·m², symmetric positive definite) and b (N·m, finite) of [1]–[3].
+    /// The chain with the coefficients a (kg·m², symmetric positive definite) and b (N·m, finite) of \[1]–\[3].
     ///
     /// By Schur's product theorem M(q) is positive definite at every q exactly when a is, so this is all there is to
     /// check. Definite means beyond rounding: each pivot must exceed N machine epsilons of its diagonal entry.
@@ -187,21 +187,21 @@ impl<const N: usize> Chain<N> {
         &self.b
     }
 
-    /// M(q), kg·m², N × N, symmetric positive definite. [1]
+    /// M(q), kg·m², N × N, symmetric positive definite. \[1]
     #[must_use]
     pub fn mass_matrix(&self, q: &Vector<N>) -> Matrix<N> {
         let mass = self.mass_array(&Angles::of(q));
         Matrix::from_fn(|i, j| mass[i][j])
     }
 
-    /// C(q, v), N·m·s, N × N; C(q, q̇) q̇ is the torque of the centrifugal forces. [2]
+    /// C(q, v), N·m·s, N × N; C(q, q̇) q̇ is the torque of the centrifugal forces. \[2]
     #[must_use]
     pub fn coriolis(&self, q: &Vector<N>, v: &Vector<N>) -> Matrix<N> {
         let angles = Angles::of(q);
         Matrix::from_fn(|i, j| self.a[(i, j)] * angles.sin_difference(i, j) * v[j])
     }
 
-    /// G(q), N·m. [3]
+    /// G(q), N·m. \[3]
     #[must_use]
     pub fn gravity(&self, q: &Vector<N>) -> Vector<N> {
         let angles = Angles::of(q);
@@ -223,7 +223,7 @@ impl<const N: usize> Chain<N> {
 
     /// M(q) x + C(q, v) w + G(q), N·m, for x in rad/s² and v, w in rad/s.
     ///
-    /// With w = v and x = q̈ it is inverse dynamics; the laws and Ψ of [5] need w ≠ v. One pass, no matrix is formed.
+    /// With w = v and x = q̈ it is inverse dynamics; the laws and Ψ of \[5] need w ≠ v. One pass, no matrix is formed.
     #[must_use]
     pub fn torque_for(&self, q: &Vector<N>, v: &Vector<N>, w: &Vector<N>, x: &Vector<N>) -> Vector<N> {
         let angles = Angles::of(q);

@@ -2,7 +2,7 @@
 //!
 //! Time is whole nanoseconds since the start of the plant. An interval is divided into equal steps no longer than a
 //! limit; the caller divides it where a torque arrives, since the torque is constant here. The same steps can carry
-//! integrals along (V̇, latency and fault terms of [10]), without changing a bit of the motion: the monitor then
+//! integrals along (V̇, latency and fault terms of \[10]), without changing a bit of the motion: the monitor then
 //! recomputes exactly what the plant did.
 //!
 //! How long a step may be: in the default closed loop 1 ms is good for 2e-8 rad over 20 s. Coulomb friction asks for

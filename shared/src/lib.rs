@@ -24,3 +24,4 @@ pub mod system;
 pub mod topics;
 pub mod trajectory;
 pub mod truth;
+pub mod wakeup;

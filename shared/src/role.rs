@@ -8,9 +8,9 @@ use crate::doorbell::ControlBlock;
 use crate::event::{Phase, Role};
 use crate::group::{Group, GroupError};
 use crate::ports::{Node, PortError};
-use crate::realtime::Privileges;
+use crate::realtime::{Privileges, Request};
 use crate::sample::Announce;
-use crate::scenario::{Scenario, ScenarioError};
+use crate::scenario::{Cores, Mode, Scenario, ScenarioError};
 
 /// How a role process is started: `EXE --group G --id N --scenario FILE [--parent PID]`.
 #[derive(Clone, Debug)]
@@ -115,4 +115,43 @@ pub fn build_id() -> u64 {
     [Setpoint::HASH, State::HASH, Torque::HASH, TickRecord::HASH, Announce::HASH, Command::HASH, Reply::HASH]
         .iter()
         .fold(hash, |hash, layout| fnv1a(hash, &layout.to_le_bytes()))
+}
+
+/// What a process of the loop asks of the kernel: the plant on the first of the scenario's cores, controllers on the
+/// second. Nothing in lockstep, where time is virtual.
+#[must_use]
+pub fn realtime_request(scenario: &Scenario, role: Role) -> Request {
+    if scenario.loop_.mode == Mode::Lockstep {
+        return Request { priority: 0, core: None, lock_memory: false, dma_latency: false };
+    }
+    let wanted = &scenario.realtime;
+    let cores: Vec<usize> = match &wanted.cores {
+        Cores::Auto => allowed_cores(),
+        Cores::List(cores) => cores.clone(),
+    };
+    let core = match role {
+        Role::Plant => cores.first(),
+        Role::Controller => cores.get(1),
+        Role::Supervisor | Role::Reference | Role::Monitor => None,
+    };
+    Request {
+        priority: wanted.priority,
+        // With one core only there is nothing to choose.
+        core: core.copied().filter(|_| cores.len() > 1),
+        lock_memory: wanted.lock_memory,
+        dma_latency: wanted.dma_latency,
+    }
+}
+
+fn allowed_cores() -> Vec<usize> {
+    let set = rustix::thread::sched_getaffinity(None);
+    set.map(|set| (0..rustix::thread::CpuSet::MAX_CPU).filter(|core| set.is_set(*core)).collect()).unwrap_or_default()
+}
+
+/// Ends this process at once, as an injected fault: no destructor runs, as if killed from outside.
+pub fn kill_self() -> ! {
+    let _ = rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::KILL);
+    loop {
+        std::thread::park();
+    }
 }

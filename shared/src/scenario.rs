@@ -3,6 +3,7 @@
 //! Responsible for the keys, their units and limits, and for messages that name the place, the key, what was found and
 //! what is allowed. Not responsible for what the keys do. The default scenario is the paper's case.
 
+mod build;
 mod error;
 mod expect;
 mod keys;

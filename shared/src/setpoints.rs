@@ -1,6 +1,7 @@
 //! The setpoints that have come, by tick: what the reference publishes ahead is kept here until its tick.
 
-use crate::sample::{Setpoint, to_vector};
+use crate::chain::LINKS_MAX;
+use crate::sample::{Links, Setpoint, to_vector};
 use crate::trajectory::SetpointValue;
 
 /// Ticks that the book holds: more than any lead.
@@ -16,6 +17,23 @@ pub struct Found<const N: usize> {
     /// When it was published.
     pub published_ns: u64,
     /// Whether it is of an earlier tick, extrapolated, since that of the tick itself had not come.
+    pub stale: bool,
+}
+
+/// A setpoint found for an instant, as it travels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FoundLinks {
+    /// q_d at the instant asked for.
+    pub q_d: Links,
+    /// q̇_d.
+    pub v_d: Links,
+    /// q̈_d.
+    pub a_d: Links,
+    /// The tick of the setpoint that was used.
+    pub tick: u64,
+    /// When it was published.
+    pub published_ns: u64,
+    /// Whether it is of an earlier tick, extrapolated.
     pub stale: bool,
 }
 
@@ -56,25 +74,52 @@ impl SetpointBook {
         true
     }
 
+    /// Forgets all.
+    pub fn clear(&mut self) {
+        self.entries.fill(Setpoint { tick: u64::MAX, ..Setpoint::zeroed() });
+        self.newest_tick = None;
+    }
+
     /// Whether the setpoint of `tick` itself is there.
     #[must_use]
     pub fn has(&self, tick: u64) -> bool {
         self.entries[slot(tick)].tick == tick
     }
 
-    /// The setpoint `offset_ns` after the instant of `tick`: that of the tick itself, or else the newest earlier one
-    /// extrapolated. `None` before the first has come.
+    /// The setpoint `offset_ns` after the instant of `tick`: that of the tick itself, or else the newest earlier one,
+    /// extrapolated: q_d + q̇_d δ + ½ q̈_d δ². `None` before the first has come.
     #[must_use]
-    pub fn at<const N: usize>(&self, tick: u64, offset_ns: u64) -> Option<Found<N>> {
+    pub fn at_links(&self, tick: u64, offset_ns: u64) -> Option<FoundLinks> {
         let entry = if self.has(tick) { &self.entries[slot(tick)] } else { self.last_before(tick)? };
-        let ahead_ns = (tick - entry.tick) * self.period_ns + offset_ns;
-        let at_tick =
-            SetpointValue { q_d: to_vector(&entry.q_d), v_d: to_vector(&entry.v_d), a_d: to_vector(&entry.a_d) };
-        Some(Found {
-            value: if ahead_ns == 0 { at_tick } else { at_tick.extrapolate(crate::clock::seconds(ahead_ns)) },
+        let delta_s = crate::clock::seconds((tick - entry.tick) * self.period_ns + offset_ns);
+        let mut found = FoundLinks {
+            q_d: entry.q_d,
+            v_d: entry.v_d,
+            a_d: entry.a_d,
             tick: entry.tick,
             published_ns: entry.published_ns,
             stale: entry.tick != tick,
+        };
+        for i in 0..LINKS_MAX {
+            found.q_d[i] += entry.v_d[i] * delta_s + 0.5 * entry.a_d[i] * (delta_s * delta_s);
+            found.v_d[i] += entry.a_d[i] * delta_s;
+        }
+        Some(found)
+    }
+
+    /// The same with the vectors of the mathematics.
+    #[must_use]
+    pub fn at<const N: usize>(&self, tick: u64, offset_ns: u64) -> Option<Found<N>> {
+        let found = self.at_links(tick, offset_ns)?;
+        Some(Found {
+            value: SetpointValue {
+                q_d: to_vector(&found.q_d),
+                v_d: to_vector(&found.v_d),
+                a_d: to_vector(&found.a_d),
+            },
+            tick: found.tick,
+            published_ns: found.published_ns,
+            stale: found.stale,
         })
     }
 

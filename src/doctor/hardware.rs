@@ -79,8 +79,7 @@ fn hypervisor(tree: &Tree) -> Option<Option<String>> {
 
 pub(super) fn virtualised(tree: &Tree) -> Finding {
     let key = "virtualised";
-    let in_container = [".dockerenv", "run/.containerenv"].iter().any(|path| tree.path(path).exists());
-    let container = if in_container { ", in a container" } else { "" };
+    let container = if tree.is_container() { ", in a container" } else { "" };
     let cost = "the host stops the guest without telling it: on a 2-core KVM guest 0.2 to 8 ms at a time, both cores, \
                 under SCHED_FIFO, with no involuntary switch, while steal time read 0";
     match hypervisor(tree) {

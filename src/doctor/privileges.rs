@@ -11,9 +11,13 @@ use super::{Finding, Status};
 
 const MIB: u64 = 1 << 20;
 
-pub(super) fn sched_fifo(live: &Live) -> Finding {
+pub(super) fn sched_fifo(tree: &Tree, live: &Live) -> Finding {
     let key = "sched_fifo";
-    let mend = "sudo prlimit --rtprio=99 --pid $$  # this shell; for good: /etc/security/limits.d";
+    let mend = if tree.is_container() {
+        "docker run --cap-add=SYS_NICE --ulimit rtprio=99 …  # this is a container"
+    } else {
+        "sudo prlimit --rtprio=99 --pid $$  # this shell; for good: /etc/security/limits.d"
+    };
     match live.fifo {
         Outcome::Had if live.fifo_priority >= 80 => Finding::good(key, "granted"),
         Outcome::Had => {
@@ -45,7 +49,7 @@ pub(super) fn dma_latency(tree: &Tree) -> Finding {
     }
 }
 
-pub(super) fn memory_lock(live: &Live) -> Finding {
+pub(super) fn memory_lock(tree: &Tree, live: &Live) -> Finding {
     let key = "memory_lock";
     match live.lockable_bytes {
         None => Finding::good(key, "without limit"),
@@ -54,7 +58,11 @@ pub(super) fn memory_lock(live: &Live) -> Finding {
             Status::Warn,
             format!("limited to {} KiB", bytes / 1024),
             "a process that needs more runs with pages that can be reclaimed; touching one again stalls its loop",
-            "sudo prlimit --memlock=unlimited --pid $$  # this shell",
+            if tree.is_container() {
+                "docker run --ulimit memlock=-1 …  # this is a container"
+            } else {
+                "sudo prlimit --memlock=unlimited --pid $$  # this shell"
+            },
         ),
     }
 }

@@ -6,6 +6,9 @@ use super::*;
 
 const CPUS: &str = "sys/devices/system/cpu";
 
+/// A key, the files that make it worse, and how bad that is.
+type Case<'a> = (&'a str, &'a [(&'a str, &'a str)], Status);
+
 /// A running system on which all is well.
 fn well() -> Live {
     Live {
@@ -76,7 +79,7 @@ fn a_tuned_machine_has_nothing_to_mend() {
 #[test]
 fn each_shortcoming_in_the_files_is_found_by_its_own_key() {
     let version = ("proc/version", "Linux version 6.18 #1 SMP PREEMPT_DYNAMIC\n");
-    let cases: &[(&str, &[(&str, &str)], Status)] = &[
+    let cases: &[Case<'_>] = &[
         ("governor", &[("sys/devices/system/cpu/cpu1/cpufreq/scaling_governor", "powersave\n")], Status::Warn),
         ("idle_states", &[("sys/devices/system/cpu/cpu0/cpuidle/state3/latency", "133\n")], Status::Warn),
         ("cores", &[("sys/devices/system/cpu/online", "0\n")], Status::Bad),
@@ -134,6 +137,18 @@ fn what_was_refused_to_this_user_is_bad_and_names_the_command() {
     assert!(text.contains("limited to 8192 KiB"), "{text}");
     assert!(text.contains("longest 3000 us"), "{text}");
     assert!(text.ends_with("2 bad, 1 to mend if you can, 0 unknown, 15 good\n"), "{text}");
+}
+
+#[test]
+fn in_a_container_the_commands_are_those_of_its_engine() {
+    let root = tuned();
+    write(root.path(), &[(".dockerenv", "")]);
+    let live = Live { fifo: Outcome::Refused(1), fifo_priority: 0, lockable_bytes: Some(0), ..well() };
+    let report = report(root.path(), &live);
+    for key in ["sched_fifo", "memory_lock"] {
+        let mend = finding(&report, key).mend.as_deref().unwrap();
+        assert!(mend.starts_with("docker run "), "{key}: {mend}");
+    }
 }
 
 #[test]

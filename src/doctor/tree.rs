@@ -61,6 +61,11 @@ impl Tree {
         self.text(&format!("boot/config-{release}")).or_else(|| self.text(&format!("lib/modules/{release}/config")))
     }
 
+    /// Whether the usual container engines have left their mark.
+    pub(super) fn is_container(&self) -> bool {
+        [".dockerenv", "run/.containerenv"].iter().any(|path| self.path(path).exists())
+    }
+
     /// A value on the kernel's command line: of `name=value`.
     pub(super) fn boot_option(&self, name: &str) -> Option<String> {
         let line = self.line("proc/cmdline")?;

@@ -178,6 +178,10 @@ pub struct Certificate {
     pub v_2: f64,
     /// sup |q̈_d|, rad/s².
     pub a_2: f64,
+    /// What C1 must cover when no law answers and a torque is just held, N·m; 0 in `ctc`. [13]
+    pub c1_held: f64,
+    /// δ when a torque is held. [13]
+    pub delta_held: f64,
     /// `ctc`: k = ½K_d − σ η1, 1/s.
     pub k: f64,
     /// `ctc`: ν₋, the smaller eigenvalue of the matrix of V.
@@ -192,7 +196,7 @@ pub struct Certificate {
     pub eta1: f64,
 }
 
-const _: () = assert!(size_of::<Certificate>() == 8 + 37 * 8 && align_of::<Certificate>() == 8, "no padding");
+const _: () = assert!(size_of::<Certificate>() == 8 + 39 * 8 && align_of::<Certificate>() == 8, "no padding");
 
 impl Certificate {
     /// Which law the certificate is of; none for an unknown code.
@@ -315,6 +319,11 @@ fn of_r(law: LawKind, env: &Envelope, gains: &Gains) -> Certificate {
         let delta = beta * beta * (env.lambda_hi() - env.lambda_lo()) / 2.0 + env.c_bar() * beta * out.x;
         (delta, beta * env.lambda_hi() + env.c_bar() * out.w)
     };
+    // A held torque knows nothing of the model: it leaves all of Ψ, whatever the law was.
+    let full = true_inertial + (1.0 + env.mu) * env.b_hat + env.disturbance_nm;
+    out.c1_held = if law == LawKind::Robust { out.c1 } else { full };
+    let (lo, hi) = (beta * beta * env.lambda_lo(), beta * beta * env.lambda_hi());
+    out.delta_held = (out.p - lo).abs().max((out.p - hi).abs()) + env.c_bar() * beta * out.x;
     out.kappa = kappa_of_r + out.delta * out.delta / (2.0 * beta * out.p);
     let against_c1 = match law {
         LawKind::PdG => gains.k_d - out.kappa - gains.k2,

@@ -278,6 +278,9 @@ mod tests {
             let fifo = privileges.outcome(Step::SchedFifo);
             assert_eq!(system::fifo_priority(0).unwrap(), privileges.priority);
             assert_eq!(fifo == Outcome::Had, privileges.priority > 0, "{fifo}");
+            if privileges.outcome(Step::RunawayGuard) == Outcome::Had {
+                assert!(getrlimit(Resource::Rttime).current.unwrap() <= RUNAWAY_LIMIT_US);
+            }
             assert_eq!(privileges.outcome(Step::DmaLatency) == Outcome::Had, entered.holds_dma_latency());
             let locked = privileges.outcome(Step::LockMemory) == Outcome::Had;
             let status = std::fs::read_to_string("/proc/self/status").unwrap();

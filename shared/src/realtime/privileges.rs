@@ -18,7 +18,7 @@ pub enum Step {
     RunawayGuard,
     /// The thread is scheduled by `SCHED_FIFO`.
     SchedFifo,
-    /// All pages are locked in memory.
+    /// All pages mapped by then are locked in memory; later ones too, where no limit could refuse them.
     LockMemory,
     /// The stack that the loop will need is mapped.
     PrefaultStack,

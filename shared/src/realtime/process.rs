@@ -116,6 +116,7 @@ pub fn wait_any_end(processes: &[&ProcessHandle], timeout_ns: u64) -> io::Result
 
 #[cfg(test)]
 mod tests {
+    use std::io::{BufRead, BufReader};
     use std::process::{Child, Command, Stdio};
 
     use super::*;
@@ -165,6 +166,47 @@ mod tests {
         assert_eq!(priority(child.id()).unwrap(), 0);
         child.kill().unwrap();
         child.wait().unwrap();
+    }
+
+    /// Runs the helper below in a process of its own, which says a process id on its standard output.
+    fn helper(part: &str) -> Child {
+        let name = "realtime::process::tests::helper_of_the_test_of_parents";
+        let mut command = Command::new(std::env::current_exe().unwrap());
+        command.args(["--exact", name, "--ignored", "--nocapture"]).env("LOOPBOUND_TEST_PART", part);
+        command.env("LOOPBOUND_TEST_PARENT", std::process::id().to_string());
+        command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap()
+    }
+
+    /// The number behind `pid=` in what a helper says.
+    fn said_pid(helper: &mut Child) -> u32 {
+        let lines = BufReader::new(helper.stdout.take().unwrap()).lines();
+        let pid = lines.map_while(Result::ok).find_map(|line| line.split_once("pid=")?.1.trim().parse().ok());
+        pid.expect("the helper says a process id")
+    }
+
+    #[test]
+    #[ignore = "a helper of the next test, which starts it in two processes"]
+    fn helper_of_the_test_of_parents() {
+        match std::env::var("LOOPBOUND_TEST_PART").as_deref() {
+            Ok("child") => {
+                let parent = std::env::var("LOOPBOUND_TEST_PARENT").unwrap().parse().unwrap();
+                die_with_parent(parent).unwrap();
+                println!("pid={}", std::process::id());
+            }
+            Ok("parent") => println!("pid={}", said_pid(&mut helper("child"))),
+            _ => return,
+        }
+        crate::clock::sleep_ns(2 * LONG_NS);
+    }
+
+    #[test]
+    fn a_child_ends_when_its_parent_is_killed() {
+        let mut parent = helper("parent");
+        let child = ProcessHandle::open(said_pid(&mut parent)).unwrap();
+        assert!(!child.wait_end(1_000_000).unwrap(), "it lives as long as its parent");
+        parent.kill().unwrap();
+        parent.wait().unwrap();
+        assert!(child.wait_end(LONG_NS).unwrap());
     }
 
     #[test]

@@ -75,3 +75,52 @@ pub(super) fn populate(start: usize, len: usize) -> Result<(), Errno> {
 fn last_error() -> Errno {
     Errno::from_io_error(&std::io::Error::last_os_error()).unwrap_or(Errno::IO)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::fs::File;
+    use std::ptr::null_mut;
+
+    use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
+
+    use crate::realtime::tests::MEMORY_LOCK;
+    use crate::realtime::{EvidenceReader, Outcome, Request, Step, enter};
+
+    const LEN: usize = 64 * 4096;
+
+    /// Maps a new file of `LEN` bytes, writes to each of its pages, and returns how many faults the writes took.
+    fn faults_of_first_writes(name: &str, before_writes: impl FnOnce()) -> u64 {
+        // The group's memory is of this kind too; on a disk, a write-back in between would bring the faults back.
+        let folder = tempfile::tempdir_in("/dev/shm").unwrap();
+        let file = File::create_new(folder.path().join(name)).unwrap();
+        file.set_len(LEN as u64).unwrap();
+        drop(file);
+        let file = File::options().read(true).write(true).open(folder.path().join(name)).unwrap();
+        // SAFETY: the address is left to the kernel, so no mapping is replaced, and the file is as long as the mapping.
+        let start = unsafe { mmap(null_mut(), LEN, ProtFlags::READ | ProtFlags::WRITE, MapFlags::SHARED, &file, 0) };
+        let start = start.unwrap();
+        before_writes();
+        let mut reader = EvidenceReader::open();
+        let before = reader.read();
+        for offset in (0..LEN).step_by(4096) {
+            // SAFETY: the offset lies within the writable mapping, which nobody else knows.
+            unsafe { start.cast::<u8>().add(offset).write_volatile(1) };
+        }
+        let faults = reader.read().since(&before).minor_faults;
+        // SAFETY: the mapping was made above, and no reference into it exists.
+        unsafe { munmap(start, LEN) }.unwrap();
+        faults
+    }
+
+    #[test]
+    fn populated_shared_memory_takes_no_fault_at_the_first_write() {
+        let _no_other_test_locks_memory = MEMORY_LOCK.lock();
+        let mut entered = enter(&Request::default());
+        let mut populated_bytes = 0;
+        assert!(faults_of_first_writes("lb_others", || ()) > 0, "else this test shows nothing");
+        let faults = faults_of_first_writes("lb_mine", || populated_bytes = entered.populate_shared(&["lb_mine"]));
+        assert_eq!(entered.privileges().outcome(Step::PrefaultShared), Outcome::Had);
+        assert_eq!(populated_bytes, LEN as u64);
+        assert_eq!(faults, 0);
+    }
+}

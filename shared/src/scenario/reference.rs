@@ -20,6 +20,8 @@ pub struct ReferenceSection {
     pub omega_rad_s: Option<PerLink>,
     /// The sines of `multi-sine`.
     pub term: Vec<SineTerm>,
+    /// Mean of `multi-sine` (rad); default 0.
+    pub offset_rad: Option<PerLink>,
     /// Start of `quintic` (rad); default 0.
     pub from_rad: Option<PerLink>,
     /// End of `quintic` (rad).
@@ -36,6 +38,10 @@ pub struct ReferenceSection {
     pub centre_m: Option<[f64; 2]>,
     /// Radius of `circle` (m).
     pub radius_m: Option<f64>,
+    /// Place of the tip on `circle` at t = 0, from the right (rad); default 0.
+    pub phase_rad: Option<f64>,
+    /// Whether `circle` bends the chain to the larger angles of its first part; default true.
+    pub elbow_positive: Option<bool>,
     /// CSV file of `waypoints` with the columns t_s, q1 … qn.
     pub file: Option<PathBuf>,
 }
@@ -48,6 +54,7 @@ impl Default for ReferenceSection {
             amplitude_rad: None,
             omega_rad_s: None,
             term: Vec::new(),
+            offset_rad: None,
             from_rad: None,
             to_rad: None,
             at: None,
@@ -56,6 +63,8 @@ impl Default for ReferenceSection {
             omega_end_rad_s: None,
             centre_m: None,
             radius_m: None,
+            phase_rad: None,
+            elbow_positive: None,
             file: None,
         }
     }
@@ -88,8 +97,10 @@ pub enum Motion {
         /// rad/s.
         omega_rad_s: Vec<f64>,
     },
-    /// Sum of amplitude · sin(omega t + phase).
+    /// offset + sum of amplitude · sin(omega t + phase).
     MultiSine {
+        /// rad.
+        offset_rad: Vec<f64>,
         /// (amplitude rad, omega rad/s, phase rad), each with one value a link.
         terms: Vec<(Vec<f64>, Vec<f64>, Vec<f64>)>,
     },
@@ -123,6 +134,10 @@ pub enum Motion {
         radius_m: f64,
         /// rad/s.
         omega_rad_s: f64,
+        /// rad.
+        phase_rad: f64,
+        /// Whether the chain bends to the larger angles of its first part.
+        elbow_positive: bool,
     },
     /// Points of a file.
     Waypoints {
@@ -147,7 +162,10 @@ impl ReferenceSection {
                 let each = |t: &SineTerm| {
                     (t.amplitude_rad.to_vec(links), t.omega_rad_s.to_vec(links), t.phase_rad.to_vec(links))
                 };
-                Motion::MultiSine { terms: self.term.iter().map(each).collect() }
+                Motion::MultiSine {
+                    offset_rad: vector(&self.offset_rad, 0.0),
+                    terms: self.term.iter().map(each).collect(),
+                }
             }
             ReferenceKind::Quintic => Motion::Quintic {
                 from_rad: vector(&self.from_rad, 0.0),
@@ -165,6 +183,8 @@ impl ReferenceSection {
                 centre_m: self.centre_m.unwrap_or_default(),
                 radius_m: self.radius_m.unwrap_or(0.0),
                 omega_rad_s: self.omega_rad_s.as_ref().and_then(|w| w.written().first().copied()).unwrap_or(0.1),
+                phase_rad: self.phase_rad.unwrap_or(0.0),
+                elbow_positive: self.elbow_positive.unwrap_or(true),
             },
             ReferenceKind::Waypoints => Motion::Waypoints { file: self.file.clone().unwrap_or_default() },
         }

@@ -92,8 +92,13 @@ fn resolved_reference(scenario: &Scenario) -> ReferenceSection {
             fill(&mut full.amplitude_rad, 1.0);
             full.omega_start_rad_s = Some(full.omega_start_rad_s.unwrap_or(0.1));
         }
-        ReferenceKind::Circle => full.omega_rad_s = Some(full.omega_rad_s.unwrap_or(PerLink::All(0.1))),
-        ReferenceKind::MultiSine | ReferenceKind::Waypoints => {}
+        ReferenceKind::Circle => {
+            full.omega_rad_s = Some(full.omega_rad_s.unwrap_or(PerLink::All(0.1)));
+            full.phase_rad = Some(full.phase_rad.unwrap_or(0.0));
+            full.elbow_positive = Some(full.elbow_positive.unwrap_or(true));
+        }
+        ReferenceKind::MultiSine => fill(&mut full.offset_rad, 0.0),
+        ReferenceKind::Waypoints => {}
     }
     full
 }

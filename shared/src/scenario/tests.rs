@@ -446,3 +446,94 @@ fn names_of_groups_are_short_and_plain() {
         assert!(check_group_name(name).is_err(), "{name}");
     }
 }
+
+#[test]
+fn the_default_builds_the_papers_chain_start_and_motion() {
+    use crate::chain::{Chain, LinkParameters};
+    let scenario = Scenario::default();
+    let links = LinkParameters { mass_kg: [1.0; 3], length_m: [1.0; 3], inertia_kg_m2: None, gravity_m_s2: 9.81 };
+    let unit = Chain::<3>::from_links(&links).expect("the unit chain");
+    assert_eq!(scenario.build_model::<3>().expect("a chain"), unit);
+    assert_eq!(
+        scenario.build_truth::<3>().expect("a plant"),
+        crate::truth::Truth { seed: 1, ..crate::truth::Truth::ideal(unit) }
+    );
+    assert_eq!(scenario.build_start::<3>().expect("a start").q.as_slice(), [0.3, -0.2, 0.25]);
+    let trajectory = scenario.build_trajectory::<3>().expect("a motion");
+    assert_eq!(trajectory, crate::trajectory::Trajectory::of_the_paper());
+    assert!(scenario.build_model::<2>().is_err(), "the scenario has three links");
+}
+
+#[test]
+fn every_kind_of_disturbance_and_motion_can_be_built() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let points = folder.path().join("p.csv");
+    std::fs::write(&points, "t_s,q1,q2\n0,0,0\n1,0.5,0.2\n2,0.1,0.4\n").expect("it can be written");
+    let motions = [
+        "kind = 'sine'\nomega_rad_s = [1, 2]".to_owned(),
+        "kind = 'multi-sine'\noffset_rad = 0.1\nterm = [{ amplitude_rad = 1, omega_rad_s = 2 }, { amplitude_rad = [1, 2], omega_rad_s = 3 }]".to_owned(),
+        "kind = 'quintic'\nto_rad = 1\nduration = '2s'".to_owned(),
+        "kind = 'chirp'\nomega_end_rad_s = 3\nduration = '2s'".to_owned(),
+        "kind = 'circle'\ncentre_m = [0.5, -1.2]\nradius_m = 0.2\nphase_rad = 1\nelbow_positive = false".to_owned(),
+        format!("kind = 'waypoints'\nfile = '{}'", points.display()),
+    ];
+    let mut starts = Vec::new();
+    for motion in motions {
+        let scenario = accepted(&format!(
+            "[plant]\nlinks = 2\n[reference]\n{motion}
+            [[plant.disturbance]]\nkind = 'constant'\nvalue_nm = [1, 0]
+            [[plant.disturbance]]\nkind = 'step'\nvalue_nm = 2\nat = '1s'
+            [[plant.disturbance]]\nkind = 'sine'\namplitude_nm = 1\nomega_rad_s = 3
+            [[plant.disturbance]]\nkind = 'noise'\nrms_nm = 0.5\nlow_hz = 1\nhigh_hz = 10"
+        ));
+        assert_eq!(accepted(&scenario.to_toml().expect("it can be written")), scenario.resolved());
+        starts.push(scenario.build_trajectory::<2>().unwrap_or_else(|error| panic!("{error}")).at(0.7));
+        let truth = scenario.build_truth::<2>().unwrap_or_else(|error| panic!("{error}"));
+        let jump = truth.disturbance(1.0) - truth.disturbance(1.0 - 1e-9);
+        // The step is the only part that is not continuous; the others move by at most 1e-9 times their slope.
+        assert!((jump[0] - 2.0).abs() < 1e-6 && (jump[1] - 2.0).abs() < 1e-6, "{jump}");
+    }
+    for (index, one) in starts.iter().enumerate() {
+        assert!(starts[..index].iter().all(|other| other != one), "two kinds give the same motion");
+    }
+}
+
+#[test]
+fn a_circle_out_of_reach_is_refused_under_its_section() {
+    let scenario = accepted("[reference]\nkind = 'circle'\ncentre_m = [5, 0]\nradius_m = 0.2");
+    let error = scenario.build_trajectory::<3>().expect_err("three metres do not reach five").to_string();
+    assert!(error.starts_with("`reference`: the circle takes the tip from"), "{error}");
+}
+
+#[test]
+fn every_kind_of_fault_is_accepted_and_survives_the_way_through_toml() {
+    for kind in FaultKind::ALL {
+        let keys = match kind {
+            FaultKind::Delay => "delay = '1us'\ndelay_max = '1ms'\ndistribution = 'pareto'",
+            FaultKind::Glitch => "value_nm = -3",
+            FaultKind::ClockStep => "step = '-5ms'",
+            _ => "",
+        };
+        let scenario = accepted(&format!("[[fault]]\nkind = '{kind}'\nat = '1s'\nfor = 20\n{keys}"));
+        assert_eq!(scenario.fault[0].kind, *kind);
+        assert_eq!(accepted(&scenario.to_toml().expect("it can be written")), scenario.resolved());
+    }
+}
+
+#[test]
+fn a_damaged_file_is_read_or_refused_in_one_line_but_never_breaks_the_program() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenarios/faults.toml");
+    let text = std::fs::read_to_string(file).expect("it can be read");
+    let mut refusals = 0;
+    for (at, removed) in text.char_indices() {
+        for replacement in ["", "\u{e4}", "[", "\"", "\n", "-9"] {
+            let damaged = format!("{}{replacement}{}", &text[..at], &text[at + removed.len_utf8()..]);
+            if let Err(error) = Scenario::from_toml(&damaged, "my.toml") {
+                let message = error.to_string();
+                assert!(message.starts_with("my.toml:") && !message.contains('\n'), "{message}\n{damaged}");
+                refusals += 1;
+            }
+        }
+    }
+    assert!(refusals > 1000, "{refusals} refusals");
+}

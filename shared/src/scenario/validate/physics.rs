@@ -216,16 +216,17 @@ fn check_controller(scenario: &Scenario, links: usize) -> Result<(), ScenarioErr
 fn check_reference(section: &ReferenceSection, links: usize) -> Result<(), ScenarioError> {
     let (required, optional): (&[&str], &[&str]) = match section.kind {
         ReferenceKind::Sine => (&[], &["amplitude_rad", "omega_rad_s"]),
-        ReferenceKind::MultiSine => (&["term"], &[]),
+        ReferenceKind::MultiSine => (&["term"], &["offset_rad"]),
         ReferenceKind::Quintic => (&["to_rad", "duration"], &["from_rad", "at"]),
         ReferenceKind::Chirp => (&["omega_end_rad_s", "duration"], &["amplitude_rad", "omega_start_rad_s"]),
-        ReferenceKind::Circle => (&["centre_m", "radius_m"], &["omega_rad_s"]),
+        ReferenceKind::Circle => (&["centre_m", "radius_m"], &["omega_rad_s", "phase_rad", "elbow_positive"]),
         ReferenceKind::Waypoints => (&["file"], &[]),
     };
     let written = [
         ("amplitude_rad", section.amplitude_rad.is_some()),
         ("omega_rad_s", section.omega_rad_s.is_some()),
         ("term", !section.term.is_empty()),
+        ("offset_rad", section.offset_rad.is_some()),
         ("from_rad", section.from_rad.is_some()),
         ("to_rad", section.to_rad.is_some()),
         ("at", section.at.is_some()),
@@ -234,6 +235,8 @@ fn check_reference(section: &ReferenceSection, links: usize) -> Result<(), Scena
         ("omega_end_rad_s", section.omega_end_rad_s.is_some()),
         ("centre_m", section.centre_m.is_some()),
         ("radius_m", section.radius_m.is_some()),
+        ("phase_rad", section.phase_rad.is_some()),
+        ("elbow_positive", section.elbow_positive.is_some()),
         ("file", section.file.is_some()),
     ];
     check_applicable("reference", section.kind.name(), required, optional, &written)?;
@@ -244,6 +247,7 @@ fn check_reference_values(section: &ReferenceSection, links: usize) -> Result<()
     let vectors = [
         ("reference.amplitude_rad", &section.amplitude_rad),
         ("reference.omega_rad_s", &section.omega_rad_s),
+        ("reference.offset_rad", &section.offset_rad),
         ("reference.from_rad", &section.from_rad),
         ("reference.to_rad", &section.to_rad),
     ];
@@ -265,6 +269,7 @@ fn check_reference_values(section: &ReferenceSection, links: usize) -> Result<()
     }
     section.omega_start_rad_s.map_or(Ok(()), |omega| finite("reference.omega_start_rad_s", omega))?;
     section.omega_end_rad_s.map_or(Ok(()), |omega| finite("reference.omega_end_rad_s", omega))?;
+    section.phase_rad.map_or(Ok(()), |phase| finite("reference.phase_rad", phase))?;
     section.radius_m.map_or(Ok(()), |radius| positive("reference.radius_m", radius))?;
     if section.kind == ReferenceKind::Circle {
         let one = section.omega_rad_s.as_ref().and_then(PerLink::len_if_list);

@@ -1,0 +1,98 @@
+//! One tick of a controller without a clock: setpoint, law, injected faults. All modes drive this same code.
+
+use loopbound_shared::fault::{FaultActions, FaultPlan};
+use loopbound_shared::sample::{State, Torque, torque_flag};
+use loopbound_shared::scenario::{Mode, Role, Scenario};
+use loopbound_shared::setpoints::SetpointBook;
+
+use crate::{Controller, Input};
+
+/// A controller without a clock.
+pub struct ControllerCore<C> {
+    controller: C,
+    /// The setpoints that have come.
+    pub setpoints: SetpointBook,
+    faults: FaultPlan,
+    id: u32,
+    links: usize,
+    virtual_time: bool,
+}
+
+impl<C: Controller> ControllerCore<C> {
+    /// The frame around `controller`, as number `id` of the group.
+    #[must_use]
+    pub fn new(scenario: &Scenario, id: u32, controller: C) -> Self {
+        Self {
+            controller,
+            setpoints: SetpointBook::new(scenario.period_ns()),
+            faults: FaultPlan::for_target(scenario, Role::Controller, id),
+            id,
+            links: scenario.links(),
+            virtual_time: scenario.loop_.mode == Mode::Lockstep,
+        }
+    }
+
+    /// The controller inside.
+    pub fn controller(&self) -> &C {
+        &self.controller
+    }
+
+    /// What befalls this controller in a tick, on purpose.
+    #[must_use]
+    pub fn faults_at(&self, tick: u64) -> FaultActions {
+        self.faults.at_tick(tick)
+    }
+
+    /// The answer to a state. Stamps other than those of its inputs are left to the loop. A state that has no setpoint
+    /// yet, or that a fault lets go unanswered, is answered by the marker *withheld*, which only lockstep publishes.
+    pub fn answer(&mut self, state: &State, faults: &FaultActions) -> Torque {
+        let mut torque = Torque {
+            tick: state.tick,
+            state_published_ns: state.published_ns,
+            writer: self.id,
+            epoch: state.epoch,
+            links: state.links,
+            flags: if faults.any() { torque_flag::FAULT_INJECTED } else { 0 },
+            ..Torque::zeroed()
+        };
+        // The number of links is compile-time in the plant and its law; here it must fit before anything is sliced.
+        let setpoint = self.setpoints.at_links(state.tick, state.setpoint_offset_ns);
+        let (Some(setpoint), true) = (setpoint, state.links as usize == self.links) else {
+            torque.flags |= torque_flag::WITHHELD;
+            return torque;
+        };
+        (torque.q_d, torque.v_d, torque.a_d) = (setpoint.q_d, setpoint.v_d, setpoint.a_d);
+        (torque.setpoint_tick, torque.setpoint_published_ns) = (setpoint.tick, setpoint.published_ns);
+        if setpoint.stale {
+            torque.flags |= torque_flag::SETPOINT_STALE;
+        }
+        let n = self.links;
+        let input = Input {
+            tick: state.tick,
+            time_s: loopbound_shared::clock::seconds(state.plant_ns),
+            q: &state.q[..n],
+            v: &state.v[..n],
+            q_d: &setpoint.q_d[..n],
+            v_d: &setpoint.v_d[..n],
+            a_d: &setpoint.a_d[..n],
+        };
+        self.controller.torque(&input, &mut torque.tau[..n]);
+        self.spoil(&mut torque, faults);
+        torque
+    }
+
+    fn spoil(&self, torque: &mut Torque, faults: &FaultActions) {
+        if faults.nan {
+            torque.tau[..self.links].fill(f64::NAN);
+        }
+        if let Some((link, value_nm)) = faults.glitch {
+            torque.tau[link.min(self.links - 1)] += value_nm;
+        }
+        if self.virtual_time {
+            torque.virtual_delay_ns = faults.delay_ns;
+        }
+        if faults.drop || faults.hang_ns > 0 {
+            torque.flags |= torque_flag::WITHHELD;
+        }
+    }
+}

@@ -1,0 +1,103 @@
+//! The controller's loop on the machine's clock: wait, read, compute, publish; everything else in the slack.
+
+use loopbound_shared::clock;
+use loopbound_shared::fault::FaultActions;
+use loopbound_shared::realtime::{Evidence, EvidenceReader};
+use loopbound_shared::role;
+use loopbound_shared::sample::{Setpoint, State, state_flag, torque_flag};
+
+use crate::Controller;
+use crate::core::ControllerCore;
+use crate::serve::Ports;
+
+/// How often to look whether the group still lives, when nothing comes.
+const LOOK_NS: u64 = 20_000_000;
+
+/// How long before the expected state the active controller wakes: more than a timer is late by, as a rule.
+const EARLY_NS: u64 = 100_000;
+
+/// Touches the code and data of a tick before the first one: its page faults and cold caches belong to the start-up.
+pub(crate) fn warm_up<C: Controller>(core: &mut ControllerCore<C>, evidence: &mut EvidenceReader, links: usize) {
+    let links = u32::try_from(links).unwrap_or(0);
+    let state = State { links, ..State::zeroed() };
+    let had_one = core.setpoints.has(0);
+    if !had_one {
+        core.setpoints.enter(&Setpoint { links, ..Setpoint::zeroed() }, links as usize);
+    }
+    for _ in 0..1000 {
+        std::hint::black_box(core.answer(&state, &FaultActions::default()));
+        std::hint::black_box(evidence.read());
+    }
+    if !had_one {
+        core.setpoints.clear();
+    }
+}
+
+pub(crate) fn run<C: Controller>(
+    core: &mut ControllerCore<C>,
+    ports: &Ports,
+    evidence: &mut EvidenceReader,
+    id: u32,
+    stopped: &dyn Fn() -> bool,
+) {
+    let scenario = &ports.joined.scenario;
+    let (block, links, period_ns) = (&ports.joined.block, scenario.links(), scenario.period_ns());
+    let (early_ns, rest_ns) = (scenario.loop_.lead_ns().min(EARLY_NS), ports.states_bell.may_rest_ns(period_ns));
+    let mut evidence_now = Evidence::default();
+    let (mut active, mut gap_ns) = (false, 0);
+    let mut next_ns = 0;
+    while !stopped() {
+        let until_ns = clock::now_ns() + LOOK_NS;
+        let newest = || ports.states.latest();
+        // Only the active controller spins: it wakes a little early and looks for the state from then on.
+        let state = if active && ports.states_bell.is_time_triggered() {
+            clock::sleep_until_ns((next_ns - early_ns).max(clock::now_ns() + rest_ns));
+            ports.states_bell.wait(block, next_ns, until_ns, &mut gap_ns, newest)
+        } else {
+            ports.states_bell.wait_asleep(block, until_ns, newest)
+        };
+        let Some(state) = state else {
+            active = false;
+            ports.update_connections();
+            ports.drain_setpoints(&mut core.setpoints, links);
+            continue;
+        };
+        let received_ns = clock::now_ns();
+        if state.flags & state_flag::LAST != 0 {
+            return;
+        }
+        if !core.setpoints.has(state.tick) {
+            ports.drain_setpoints(&mut core.setpoints, links);
+        }
+        let faults = core.faults_at(state.tick);
+        if faults.any() {
+            suffer(&faults, received_ns);
+        }
+        let mut torque = core.answer(&state, &faults);
+        torque.received_ns = received_ns;
+        torque.evidence = evidence_now;
+        // The marker serves lockstep; here an answer that is withheld is simply not given.
+        if torque.flags & torque_flag::WITHHELD == 0 {
+            torque.published_ns = clock::now_ns();
+            ports.torques.send(torque);
+            ports.torque_bell.ring(block);
+        }
+        (active, next_ns) = (state.active == id, state.deadline_ns + period_ns);
+        ports.drain_setpoints(&mut core.setpoints, links);
+        ports.update_connections();
+        evidence_now = evidence.read();
+    }
+}
+
+/// The faults that take time or end it.
+fn suffer(faults: &FaultActions, received_ns: u64) {
+    if faults.kill {
+        role::kill_self();
+    }
+    if faults.hang_ns > 0 {
+        clock::sleep_until_ns(received_ns.saturating_add(faults.hang_ns));
+    }
+    if faults.delay_ns > 0 {
+        clock::sleep_until_ns(received_ns + faults.delay_ns);
+    }
+}

@@ -1,0 +1,199 @@
+//! The plant's loop on virtual time: t_k = k h. Each tick waits for an answer of every member, and for the setpoint of
+//! the very tick; no timeout decides anything, so every run decides alike.
+
+use std::sync::atomic::Ordering;
+
+use loopbound_shared::clock;
+use loopbound_shared::doorbell::Bell;
+use loopbound_shared::role;
+use loopbound_shared::sample::{RECEIPTS_MAX, Torque};
+
+use crate::core::{Opening, PlantCore};
+use crate::ports::{Orders, Ports};
+
+/// How long to spin for torques before sleeping at the doorbell.
+const SPIN_NS: u64 = 20_000;
+/// How often to look for commands and for the stop flag while nothing comes.
+const LOOK_NS: u64 = 5_000_000;
+/// The reference and the monitor are woken once in so many ticks.
+const PACE_TICKS: u64 = 256;
+
+pub(crate) fn run<const N: usize>(core: &mut PlantCore<N>, ports: &Ports, stopped: &dyn Fn() -> bool) {
+    let mut orders = Orders::default();
+    while !orders.start {
+        if stopped() {
+            return;
+        }
+        ports.update_connections();
+        ports.serve(core, &mut orders);
+        clock::sleep_until_ns(clock::now_ns() + 200_000);
+    }
+    let mut tick = 0;
+    while orders.stop_at.is_none_or(|stop| tick < stop) {
+        if !one_tick(core, ports, tick, &mut orders, stopped) {
+            return;
+        }
+        tick += 1;
+    }
+    let end_ns = tick * ports.joined.scenario.period_ns();
+    core.finish(end_ns);
+    publish_closed(core, ports);
+}
+
+/// One tick; false if the group was stopped meanwhile.
+fn one_tick<const N: usize>(
+    core: &mut PlantCore<N>,
+    ports: &Ports,
+    tick: u64,
+    orders: &mut Orders,
+    stopped: &dyn Fn() -> bool,
+) -> bool {
+    let (block, scenario) = (&ports.joined.block, &ports.joined.scenario);
+    let pace = block.pace();
+    pace.plant_tick.store(tick, Ordering::Release);
+    if tick.is_multiple_of(PACE_TICKS) {
+        block.ring(Bell::Pace);
+        ports.update_connections();
+    }
+    if ports.faults.at_tick(tick).kill {
+        role::kill_self();
+    }
+    // Credit: the launcher's monitor has room for the record of this tick.
+    while !(core.setpoints.has(tick) && pace.credit.load(Ordering::Acquire) > tick) {
+        if stopped() {
+            return false;
+        }
+        block.wait(Bell::Pace, clock::now_ns() + LOOK_NS, || {
+            ports.drain_setpoints(core);
+            (core.setpoints.has(tick) && pace.credit.load(Ordering::Acquire) > tick).then_some(())
+        });
+        ports.serve(core, orders);
+        ports.update_connections();
+    }
+    let t_k_ns = tick * scenario.period_ns();
+    let opening = Opening {
+        tick,
+        deadline_ns: t_k_ns,
+        sampled_ns: t_k_ns,
+        grace_deadline_ns: t_k_ns + scenario.loop_.grace_ns(),
+        skipped: 0,
+    };
+    let mut state = core.open(opening);
+    state.published_ns = t_k_ns;
+    core.stamp_published(t_k_ns, state.grace_deadline_ns);
+    ports.states.send(state);
+    // In lockstep everyone waits at the doorbell, whatever the mode.
+    block.ring(Bell::State);
+    publish_closed(core, ports);
+    if !gather(core, ports, tick, orders, stopped) {
+        return false;
+    }
+    // A command changes membership at a tick: between two of them.
+    if tick.is_multiple_of(PACE_TICKS) {
+        ports.serve(core, orders);
+    }
+    true
+}
+
+fn publish_closed<const N: usize>(core: &PlantCore<N>, ports: &Ports) {
+    if let Some(record) = core.closed() {
+        ports.records.send(*record);
+    }
+}
+
+/// Waits for the answer of every member, then judges them in the order of their virtual arrival.
+fn gather<const N: usize>(
+    core: &mut PlantCore<N>,
+    ports: &Ports,
+    tick: u64,
+    orders: &mut Orders,
+    stopped: &dyn Fn() -> bool,
+) -> bool {
+    let block = &ports.joined.block;
+    let mut answers = Answers::new();
+    loop {
+        let complete = ports.torque_bell.wait_lockstep(block, clock::now_ns() + LOOK_NS, SPIN_NS, || {
+            while let Some(torque) = ports.torques.take() {
+                answers.note(&torque, tick);
+            }
+            answers.are_complete(core.authority.member_ids()).then_some(())
+        });
+        if complete.is_some() {
+            break;
+        }
+        if stopped() {
+            return false;
+        }
+        // The supervisor says who is dead; until then the tick waits.
+        ports.serve(core, orders);
+        ports.update_connections();
+    }
+    judge(core, answers.as_mut_slice(), tick, &ports.joined.scenario);
+    true
+}
+
+/// Applies the answers of a tick in the order of their virtual arrival, as the realtime loop would see them.
+pub(crate) fn judge<const N: usize>(
+    core: &mut PlantCore<N>,
+    answers: &mut [Torque],
+    tick: u64,
+    scenario: &loopbound_shared::scenario::Scenario,
+) {
+    let t_k_ns = tick * scenario.period_ns();
+    let (grace_ns, cutoff_ns) =
+        (t_k_ns + scenario.loop_.grace_ns(), t_k_ns + scenario.period_ns() - scenario.loop_.lead_ns());
+    answers.sort_unstable_by_key(|torque| (torque.tick != tick, torque.virtual_delay_ns, torque.writer));
+    let mut grace_passed = false;
+    for torque in answers {
+        let arrives_ns = t_k_ns + torque.virtual_delay_ns;
+        if arrives_ns > grace_ns && !grace_passed {
+            core.grace_passed(grace_ns);
+            grace_passed = true;
+        }
+        if arrives_ns > cutoff_ns {
+            // By then the realtime loop is in the next tick.
+            core.authority.count_stale();
+        } else {
+            core.arrive(torque, arrives_ns);
+        }
+    }
+    if !grace_passed {
+        core.grace_passed(grace_ns);
+    }
+}
+
+/// The torques that came in one tick, those of strangers too.
+struct Answers {
+    torques: [Torque; ANSWERS_MAX],
+    used: usize,
+}
+
+/// More than all members: strangers and duplicates are judged too, up to here.
+const ANSWERS_MAX: usize = 2 * RECEIPTS_MAX;
+
+impl Answers {
+    fn new() -> Self {
+        Self { torques: [Torque::zeroed(); ANSWERS_MAX], used: 0 }
+    }
+
+    fn note(&mut self, torque: &Torque, tick: u64) {
+        if self.used == ANSWERS_MAX {
+            // Members come first: the last place is given up for this tick's answers only.
+            if torque.tick != tick {
+                return;
+            }
+            self.used -= 1;
+        }
+        self.torques[self.used] = *torque;
+        self.used += 1;
+    }
+
+    fn are_complete(&self, mut members: impl Iterator<Item = u32>) -> bool {
+        let tick_of = |id: u32| self.torques[..self.used].iter().any(|t| t.writer == id);
+        members.all(tick_of)
+    }
+
+    fn as_mut_slice(&mut self) -> &mut [Torque] {
+        &mut self.torques[..self.used]
+    }
+}

@@ -1,0 +1,224 @@
+//! The plant's loop on the machine's clock.
+//!
+//! ```text
+//! wake early (lead) → map what joined → spin to t_k → integrate to *now* → publish State(k) → ring
+//! → wait for Torque(k), to the grace deadline and beyond → slack: TickRecord(k−1), evidence, commands
+//! ```
+//!
+//! Deadlines are absolute. Each torque acts from its arrival, so a late torque is late in the physics too.
+
+use std::sync::atomic::Ordering;
+
+use loopbound_shared::clock;
+use loopbound_shared::realtime::EvidenceReader;
+use loopbound_shared::role;
+use loopbound_shared::sample::{State, record_flag, state_flag};
+use loopbound_shared::scenario::Scenario;
+
+use crate::core::{Opening, PlantCore};
+use crate::ports::{Orders, Ports};
+
+/// t_0 lies on a multiple of this (plus the phase): of every usual period of the kernel's tick (1, 4, 10 ms), so that
+/// the phase between the loop and the kernel's tick is what the scenario says.
+const GRID_NS: u64 = 20_000_000;
+/// Rounds of exchange before t_0, so that both ends are warm.
+const WARM_UP_ROUNDS: u32 = 64;
+/// A round of mapping that takes longer than this has mapped something.
+const JOIN_NS: u64 = 40_000;
+
+/// The loop's times, ns.
+struct Times {
+    period_ns: u64,
+    lead_ns: u64,
+    grace_ns: u64,
+    t_0_ns: u64,
+}
+
+impl Times {
+    fn of(scenario: &Scenario, t_0_ns: u64) -> Self {
+        Self {
+            period_ns: scenario.period_ns(),
+            lead_ns: scenario.loop_.lead_ns(),
+            grace_ns: scenario.loop_.grace_ns(),
+            t_0_ns,
+        }
+    }
+
+    fn deadline_ns(&self, tick: u64) -> u64 {
+        self.t_0_ns + tick * self.period_ns
+    }
+
+    /// min(published + grace, t_{k+1} − lead).
+    fn grace_deadline_ns(&self, tick: u64, published_ns: u64) -> u64 {
+        (published_ns + self.grace_ns).min(self.cutoff_ns(tick))
+    }
+
+    /// When the loop turns to the next tick: a torque after it is stale.
+    fn cutoff_ns(&self, tick: u64) -> u64 {
+        self.deadline_ns(tick + 1) - self.lead_ns
+    }
+}
+
+pub(crate) fn run<const N: usize>(core: &mut PlantCore<N>, ports: &Ports, stopped: &dyn Fn() -> bool) {
+    let mut evidence = EvidenceReader::open();
+    let mut orders = Orders::default();
+    while !orders.start {
+        if stopped() {
+            return;
+        }
+        ports.update_connections();
+        ports.drain_setpoints(core);
+        ports.serve(core, &mut orders);
+        clock::sleep_until_ns(clock::now_ns() + 200_000);
+    }
+    warm_up(core, ports, &mut evidence);
+    let scenario = &ports.joined.scenario;
+    let times = Times::of(scenario, first_deadline(scenario));
+    core.start_at(times.t_0_ns);
+    let mut tick = 0;
+    while !stopped() && orders.stop_at.is_none_or(|stop| tick < stop) {
+        tick = one_tick(core, ports, &times, tick, &mut evidence, &mut orders) + 1;
+    }
+    clock::sleep_until_ns(times.deadline_ns(tick));
+    core.finish(clock::now_ns());
+    publish_closed(core, ports);
+}
+
+fn first_deadline(scenario: &Scenario) -> u64 {
+    let soonest_ns = clock::now_ns() + 2 * scenario.loop_.lead_ns() + 1_000_000;
+    soonest_ns.next_multiple_of(GRID_NS) + scenario.loop_.phase_ns()
+}
+
+/// Exchanges states and torques that count for nothing, and runs the whole tick's code.
+fn warm_up<const N: usize>(core: &mut PlantCore<N>, ports: &Ports, evidence: &mut EvidenceReader) {
+    let (block, links) = (&ports.joined.block, u32::try_from(N).unwrap_or(0));
+    for _ in 0..WARM_UP_ROUNDS {
+        let now_ns = clock::now_ns();
+        ports.states.send(State {
+            deadline_ns: now_ns,
+            published_ns: now_ns,
+            active: core.authority.active().0,
+            epoch: core.authority.active().1,
+            flags: state_flag::WARM_UP,
+            links,
+            ..State::zeroed()
+        });
+        ports.state_bell.ring(block);
+        ports.torque_bell.wait(block, now_ns, now_ns + 300_000, &mut 0, || ports.torques.take());
+        ports.records.send(loopbound_shared::sample::TickRecord::zeroed());
+        ports.update_connections();
+        std::hint::black_box(evidence.read());
+    }
+    core.rehearse();
+    while ports.torques.take().is_some() {}
+}
+
+/// One tick; returns the tick that was run, which is later than `tick` after an overrun.
+fn one_tick<const N: usize>(
+    core: &mut PlantCore<N>,
+    ports: &Ports,
+    times: &Times,
+    tick: u64,
+    evidence: &mut EvidenceReader,
+    orders: &mut Orders,
+) -> u64 {
+    let block = &ports.joined.block;
+    let mut gap_ns = 0;
+    clock::sleep_until_ns(times.deadline_ns(tick) - times.lead_ns);
+    let joined_ns = prepare(core, ports);
+    let sampled_ns = wait_for_deadline(ports, times.deadline_ns(tick), &mut gap_ns);
+    // An overrun: the ticks whose end has passed are skipped and counted, never published.
+    let skipped = (sampled_ns - times.deadline_ns(tick)) / times.period_ns;
+    let tick = tick + skipped;
+    let mut state = core.open(Opening {
+        tick,
+        deadline_ns: times.deadline_ns(tick),
+        sampled_ns,
+        grace_deadline_ns: times.grace_deadline_ns(tick, sampled_ns),
+        skipped,
+    });
+    if let Some(took_ns) = joined_ns {
+        core.note_join(took_ns);
+    }
+    suffer(core, ports, tick);
+    let published_ns = clock::now_ns();
+    let grace_deadline_ns = times.grace_deadline_ns(tick, published_ns);
+    (state.published_ns, state.grace_deadline_ns) = (published_ns, grace_deadline_ns);
+    core.stamp_published(published_ns, grace_deadline_ns);
+    ports.states.send(state);
+    ports.state_bell.ring(block);
+    block.pace().plant_tick.store(tick, Ordering::Release);
+    await_torque(core, ports, times.cutoff_ns(tick), grace_deadline_ns, &mut gap_ns);
+    publish_closed(core, ports);
+    core.note_slack(evidence.read(), gap_ns, 0);
+    ports.serve(core, orders);
+    tick
+}
+
+/// In the slack before the deadline: maps what joined (its time if it was long), takes what came late.
+fn prepare<const N: usize>(core: &mut PlantCore<N>, ports: &Ports) -> Option<u64> {
+    let from_ns = clock::now_ns();
+    ports.update_connections();
+    let took_ns = clock::now_ns() - from_ns;
+    ports.drain_setpoints(core);
+    // Anything still here came after the cut-off: another tick's by the time it could act.
+    while ports.torques.take_with(|torque| core.authority.too_late(torque)).is_some() {}
+    (took_ns > JOIN_NS).then_some(took_ns)
+}
+
+fn wait_for_deadline(ports: &Ports, deadline_ns: u64, gap_ns: &mut u64) -> u64 {
+    if ports.torque_bell.is_time_triggered() {
+        ports.torque_bell.spin_until(deadline_ns, gap_ns)
+    } else {
+        clock::sleep_until_ns(deadline_ns);
+        clock::now_ns()
+    }
+}
+
+/// Waits until some torque for the tick acts: to the grace deadline, then on to the cut-off.
+fn await_torque<const N: usize>(
+    core: &mut PlantCore<N>,
+    ports: &Ports,
+    cutoff_ns: u64,
+    grace_deadline_ns: u64,
+    gap_ns: &mut u64,
+) {
+    let block = &ports.joined.block;
+    for until_ns in [grace_deadline_ns, cutoff_ns] {
+        ports.torque_bell.wait(block, clock::now_ns(), until_ns, gap_ns, || {
+            while let Some(torque) = ports.torques.take() {
+                core.arrive(&torque, clock::now_ns());
+            }
+            core.authority.is_settled().then_some(())
+        });
+        if until_ns == grace_deadline_ns {
+            // Also when all is settled: the authority wants to know once a tick.
+            core.grace_passed(clock::now_ns());
+        }
+        if core.authority.is_settled() {
+            return;
+        }
+    }
+}
+
+fn publish_closed<const N: usize>(core: &PlantCore<N>, ports: &Ports) {
+    if let Some(record) = core.closed() {
+        ports.records.send(*record);
+    }
+}
+
+/// The plant's own injected faults.
+fn suffer<const N: usize>(core: &mut PlantCore<N>, ports: &Ports, tick: u64) {
+    let faults = ports.faults.at_tick(tick);
+    if !faults.any() {
+        return;
+    }
+    core.note_slack(core.evidence(), 0, record_flag::FAULT_INJECTED);
+    if faults.kill {
+        role::kill_self();
+    }
+    if faults.hang_ns > 0 || faults.delay_ns > 0 {
+        let now_ns = clock::now_ns();
+        clock::sleep_until_ns(now_ns.saturating_add(faults.hang_ns).saturating_add(faults.delay_ns));
+    }
+}

@@ -1,0 +1,221 @@
+//! How late a torque may be: the stability boundary of the sampled loop, the age for which the bound itself is proven,
+//! how long a torque may be held, and the smallest ‖W‖ that a latency allows.
+//!
+//! All of it is a design rule or a start-up computation; whether a run kept its bound is the matter of `diagnose`.
+
+use core::f64::consts::PI;
+
+use crate::law::LawKind;
+
+use super::certificate::{Certificate, Gains, StartError, certificate};
+use super::envelope::Envelope;
+
+pub mod radius;
+
+mod dense;
+
+/// How much of the room that [11] leaves is used by a period and a delay.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SamplingBudget {
+    /// a d; 1 and more is unstable where d < h. [11]
+    pub delay_ratio: f64,
+    /// a (h − 2d)/2; 1 and more is unstable. [11]
+    pub hold_ratio: f64,
+    /// The rate of the fastest mode over the rate at which the loop loses its stability: the larger of both ratios for
+    /// d < h. Below 1 the loop is stable.
+    pub used: f64,
+    /// What may be added to the delay before `used` reaches 1, s; 0 when it has.
+    pub delay_margin_s: f64,
+    /// The longest period at this delay, s.
+    pub period_max_s: f64,
+}
+
+/// Rate a of the fastest mode of the loop, 1/s: ṙ = −a r, in the worst configuration (links aligned).
+///
+/// K_t/λ̲ for `robust` and `pd+g`; the feed-forward of `robust-ff` adds β and that of `ctc` is K_d alone, both times the
+/// largest error of the inertia.
+#[must_use]
+pub fn fast_rate(cert: &Certificate) -> f64 {
+    let inertia_error = 1.0 + cert.mu / (1.0 - cert.mu) * (cert.lambda_hi / cert.lambda_lo).sqrt();
+    match cert.law() {
+        None => 0.0,
+        Some(LawKind::Robust | LawKind::PdG) => cert.k_t / cert.lambda_lo,
+        Some(LawKind::RobustFf) => cert.k_t / cert.lambda_lo + cert.beta * inertia_error,
+        Some(LawKind::Ctc) => cert.k_d * inertia_error,
+    }
+}
+
+/// [11] for a period and a constant delay (both s), the torque held in between.
+///
+/// ṙ = −a r sampled exactly has, for d < h, the characteristic polynomial z² − (1 − a(h−d)) z + a d, and Jury's test of
+/// it is a d < 1, a(h − 2d) < 2. Local: the loop is linearised; no region of attraction is claimed.
+#[must_use]
+pub fn sampling_budget(cert: &Certificate, period_s: f64, delay_s: f64) -> SamplingBudget {
+    let rate = fast_rate(cert);
+    let used = |delay_s: f64| rate / critical_rate(period_s, delay_s);
+    // The use of the budget falls with the delay up to h/4 (there is one best delay) and grows from there on.
+    let (mut holds, mut fails) = (delay_s.max(period_s / 4.0), 2.0 * (delay_s + period_s + PI / rate));
+    let delay_margin_s = if used(delay_s) >= 1.0 || !(rate > 0.0) {
+        0.0
+    } else {
+        for _ in 0..60 {
+            let middle = 0.5 * (holds + fails);
+            if used(middle) < 1.0 { holds = middle } else { fails = middle }
+        }
+        (holds - delay_s).max(0.0)
+    };
+    SamplingBudget {
+        delay_ratio: rate * delay_s,
+        hold_ratio: rate * (period_s - 2.0 * delay_s) / 2.0,
+        used: used(delay_s),
+        delay_margin_s,
+        period_max_s: 2.0 * delay_s + 2.0 / rate,
+    }
+}
+
+/// The rate a (1/s) at which ṙ = −a r, sampled every h and answered d later, loses its stability; any d ≥ 0.
+///
+/// With d = (j + f) h, 0 ≤ f < 1, the loop is z^{j+1}(z − 1) + a h((1−f) z + f) = 0. For j = 0 that is [11]; for j ≥ 1
+/// the first crossing z = e^{iθ} of the unit circle solves (j + 3/2) θ − arg((1−f) e^{iθ} + f) = π/2, and there
+/// a h = 2 sin(θ/2)/|(1−f) e^{iθ} + f|.
+#[must_use]
+pub fn critical_rate(period_s: f64, delay_s: f64) -> f64 {
+    if delay_s < period_s {
+        // max(d, (h − 2d)/2) is at least h/4, never 0.
+        return 1.0 / delay_s.max((period_s - 2.0 * delay_s) / 2.0);
+    }
+    let whole = (delay_s / period_s).floor();
+    let part = delay_s / period_s - whole;
+    let (mut low, mut high) = (0.0, PI / 2.0);
+    for _ in 0..60 {
+        let theta = 0.5 * (low + high);
+        let (real, imaginary) = ((1.0 - part) * libm::cos(theta) + part, (1.0 - part) * libm::sin(theta));
+        let phase = (whole + 1.5) * theta - libm::atan2(imaginary, real);
+        if phase < PI / 2.0 { low = theta } else { high = theta }
+    }
+    let theta = 0.5 * (low + high);
+    let (real, imaginary) = ((1.0 - part) * libm::cos(theta) + part, (1.0 - part) * libm::sin(theta));
+    2.0 * libm::sin(theta / 2.0) / ((real * real + imaginary * imaginary).sqrt() * period_s)
+}
+
+/// The age for which the bound is proven a priori, with the constants that it then has. [12]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ProvenAge {
+    /// T: largest age of a torque (hold and delay together), s.
+    pub age_s: f64,
+    /// K_f: the share of K_t that the age costs, N·m·s.
+    pub gain_share: f64,
+    /// ε with the age in it.
+    pub epsilon: f64,
+}
+
+/// The largest age T for which 𝒱 = V + γ∫(σ−t+T)|ṙ|²dσ is proven to fall at the rate α with K_t as it is; none for
+/// laws other than `robust`, or when not even T = 0 is certified.
+///
+/// With r̄ = sqrt(2c/λ̲), f_e = β²λ̄ + c̄βx, f_r = βλ̄ + c̄(2w + r̄),
+///
+/// ```text
+/// K_f = √3 T K_t (K_t + f_r)/(λ̲ sqrt(1−ξ)),  ξ = 3(T K_t/λ̲)² + αT < 1,  γ = λ̲ K_t/(2√3 (K_t+f_r) sqrt(1−ξ))   [12]
+/// ε = C1²/(4(K_t − κ − K2 − K_f)) + 3γT(C1 + f_e ē)²/λ̲²,   c ≥ max(V(0), ε/α)
+/// ```
+#[must_use]
+pub fn proven_age(cert: &Certificate) -> Option<ProvenAge> {
+    if cert.law() != Some(LawKind::Robust) || !cert.is_certified() {
+        return None;
+    }
+    let mut best = with_age(cert, 0.0)?;
+    // ξ < 1 alone bounds the age by λ̲/(√3 K_t).
+    let mut fails = cert.lambda_lo / cert.k_t;
+    for _ in 0..60 {
+        let middle = 0.5 * (best.age_s + fails);
+        match with_age(cert, middle) {
+            Some(found) => best = found,
+            None => fails = middle,
+        }
+    }
+    Some(best)
+}
+
+fn with_age(cert: &Certificate, age_s: f64) -> Option<ProvenAge> {
+    let Certificate { beta, k_t, alpha, lambda_lo, lambda_hi, c_bar, .. } = *cert;
+    let r_bar = (2.0 * cert.level / lambda_lo).sqrt();
+    let f_e = beta * beta * lambda_hi + c_bar * beta * cert.x;
+    let f_r = beta * lambda_hi + c_bar * (2.0 * cert.w + r_bar);
+    let turn = age_s * k_t / lambda_lo;
+    let root = (1.0 - (3.0 * turn * turn + alpha * age_s)).sqrt();
+    let gain_share = 3.0f64.sqrt() * age_s * k_t * (k_t + f_r) / (lambda_lo * root);
+    let gamma = lambda_lo * k_t / (2.0 * 3.0f64.sqrt() * (k_t + f_r) * root);
+    let left = k_t - cert.kappa - cert.k2 - gain_share;
+    let push = (cert.c1 + f_e * cert.e_bar) / lambda_lo;
+    let epsilon = cert.c1 * cert.c1 / (4.0 * left) + 3.0 * gamma * age_s * push * push;
+    // ξ ≥ 1 has made the root not a number, which fails here too.
+    let proven = root > 0.0 && left > 0.0 && epsilon <= alpha * cert.level && cert.v_start <= cert.level;
+    proven.then_some(ProvenAge { age_s, gain_share, epsilon })
+}
+
+/// How long (s) a torque of norm `tau_norm_nm` may be held from a state with V = `v` before V can reach c; 0 when
+/// nothing is certified, for `ctc`, or when V is not below c.
+///
+/// ```text
+/// T_H = (1/ϖ) ln((ϖ√c + N)/(ϖ√V + N)),  ϖ = β + c̄w/λ̲,  N = (C1 + δē + |τ|)/sqrt(2λ̲)                            [13]
+/// ```
+///
+/// It counts from the instant at which V was read.
+#[must_use]
+pub fn hold_limit_s(cert: &Certificate, v: f64, tau_norm_nm: f64) -> f64 {
+    // Comparisons are written so that a V that is not a number holds nothing.
+    if !(cert.is_certified() && cert.p > 0.0 && v >= 0.0 && v < cert.level && tau_norm_nm.is_finite()) {
+        return 0.0;
+    }
+    let growth = cert.beta + cert.c_bar * cert.w / cert.lambda_lo;
+    let push = (cert.c1_held + cert.delta_held * cert.e_bar + tau_norm_nm) / (2.0 * cert.lambda_lo).sqrt();
+    libm::log((growth * cert.level.sqrt() + push) / (growth * v.sqrt() + push)) / growth
+}
+
+/// H = floor(T_H/h) whole ticks. [13]
+#[must_use]
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "saturates, and the limit is not negative")]
+pub fn hold_limit_ticks(cert: &Certificate, v: f64, tau_norm_nm: f64, period_s: f64) -> u32 {
+    (hold_limit_s(cert, v, tau_norm_nm) / period_s).floor() as u32
+}
+
+/// The certificate with the smallest ‖W‖ (20) that a period and a latency allow under [11], for `robust` or
+/// `robust-ff`; none for other laws, or when none is certified.
+///
+/// A tighter ‖W‖ needs a larger gain and hence, by [11], a lower latency. β, the level and how the gain is shared out
+/// are searched on a fixed grid; K_t is `budget` (at most 1) times what [11] allows.
+#[must_use]
+pub fn smallest_w(
+    law: LawKind,
+    envelope: &Envelope,
+    start: Option<&StartError>,
+    period_s: f64,
+    delay_s: f64,
+    budget: f64,
+) -> Option<Certificate> {
+    if !matches!(law, LawKind::Robust | LawKind::RobustFf) {
+        return None;
+    }
+    let rate = budget * critical_rate(period_s, delay_s);
+    let mut best: Option<Certificate> = None;
+    for step in 0..49 {
+        let beta = libm::exp2(f64::from(step) * 0.125 - 1.0);
+        let damping = if law == LawKind::RobustFf { beta * (1.0 + envelope.rho()) } else { 0.0 };
+        let k_t = (rate - damping) * envelope.lambda_lo();
+        for (level_step, share) in (0..24).flat_map(|l| (1..16).map(move |s| (l, f64::from(s) / 16.0))) {
+            let level = libm::exp2(f64::from(level_step) * 0.5 - 5.0);
+            let plain = Gains { beta, level, k2: share * k_t, c1: None, ..Gains::of(law) };
+            let probe = certificate(law, envelope, &plain, start);
+            let left = k_t - probe.kappa - plain.k2;
+            let k3 = if probe.c1 > 0.0 { left / (probe.c1 * probe.c1) } else { plain.k3 };
+            let found = certificate(law, envelope, &Gains { k3, ..plain }, start);
+            if left > 0.0 && found.is_certified() && best.is_none_or(|b| found.w_norm < b.w_norm) {
+                best = Some(found);
+            }
+        }
+    }
+    best
+}
+
+#[cfg(test)]
+mod tests;
