@@ -1,0 +1,226 @@
+//! The files of a run, written by a thread of their own: `samples.csv`, `events.jsonl`, `latency.hlog`, and at the end
+//! `summary.json`, `scenario.toml` and `latency/*.hgrm`.
+//!
+//! The queue to the thread is bounded. What finds it full is counted as dropped, so that a slow disc costs lines of a
+//! file and never a record; only in lockstep, where the plant can wait, the monitor waits too.
+
+use std::fmt::Write as _;
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use hdrhistogram::Histogram;
+use hdrhistogram::serialization::V2DeflateSerializer;
+use hdrhistogram::serialization::interval_log::{IntervalLogWriterBuilder, Tag};
+
+use crate::event::Event;
+use crate::hops::{Hop, Hops};
+use crate::summary::{Dropped, Summary};
+use crate::tracker::Row;
+
+/// Entries that wait for the disc: more than a second of ticks at 10 kHz.
+const QUEUE: usize = 16_384;
+/// Interval logs give the largest value in milliseconds.
+const NS_PER_MS: f64 = 1e6;
+
+enum Entry {
+    Row(Row),
+    Event(Event),
+    Interval { start_ns: u64, duration_ns: u64, hops: Box<Hops> },
+}
+
+/// The sending end of the writer's queue.
+pub struct Recorder {
+    folder: PathBuf,
+    queue: Option<SyncSender<Entry>>,
+    writer: Option<JoinHandle<io::Result<()>>>,
+    lossless: bool,
+    dropped: Dropped,
+}
+
+impl Recorder {
+    /// Opens the files in `folder` (made if absent) and starts the writer. `wall_start_ns` is the wall time of the
+    /// start for the interval log. `lossless`: wait for the disc instead of dropping.
+    ///
+    /// # Errors
+    /// If a file can't be made.
+    pub fn start(folder: &Path, links: usize, wall_start_ns: u64, lossless: bool) -> io::Result<Self> {
+        fs::create_dir_all(folder)?;
+        let open = |name: &str| File::create(folder.join(name)).map(BufWriter::new);
+        let (mut samples, events, latency) = (open("samples.csv")?, open("events.jsonl")?, open("latency.hlog")?);
+        samples.write_all(csv_header(links).as_bytes())?;
+        let (queue, entries) = sync_channel(QUEUE);
+        let write = move || write_entries(&entries, links, wall_start_ns, samples, events, latency);
+        let writer = std::thread::Builder::new().name("recorder".to_owned()).spawn(write)?;
+        let (folder, dropped) = (folder.to_owned(), Dropped::default());
+        Ok(Self { folder, queue: Some(queue), writer: Some(writer), lossless, dropped })
+    }
+
+    fn send(&mut self, entry: Entry) {
+        let Some(queue) = &self.queue else { return };
+        let refused = if self.lossless {
+            queue.send(entry).map_err(|e| e.0).err()
+        } else {
+            queue.try_send(entry).map_err(|(TrySendError::Full(entry) | TrySendError::Disconnected(entry))| entry).err()
+        };
+        match refused {
+            None => {}
+            Some(Entry::Row(_)) => self.dropped.samples += 1,
+            Some(Entry::Event(_)) => self.dropped.events += 1,
+            Some(Entry::Interval { .. }) => self.dropped.intervals += 1,
+        }
+    }
+
+    /// Queues a line of `samples.csv`.
+    pub fn row(&mut self, row: Row) {
+        self.send(Entry::Row(row));
+    }
+
+    /// Queues a line of `events.jsonl`.
+    pub fn event(&mut self, event: Event) {
+        self.send(Entry::Event(event));
+    }
+
+    /// Queues the histograms of an interval that began `start_ns` after the start.
+    pub fn interval(&mut self, start_ns: u64, duration_ns: u64, hops: &Hops) {
+        self.send(Entry::Interval { start_ns, duration_ns, hops: Box::new(hops.clone()) });
+    }
+
+    /// Waits until everything queued is on disc. Returns what was dropped.
+    ///
+    /// # Errors
+    /// What the writer met: a full disc, say.
+    pub fn finish(&mut self) -> io::Result<Dropped> {
+        self.queue = None;
+        match self.writer.take().map(JoinHandle::join) {
+            Some(Ok(result)) => result?,
+            Some(Err(_)) => return Err(io::Error::other("the thread that writes the files has ended badly")),
+            None => {}
+        }
+        Ok(self.dropped)
+    }
+
+    /// Writes the files that belong to the end of a run.
+    ///
+    /// # Errors
+    /// If a file can't be written.
+    pub fn write_end(&self, summary: &Summary, hops: &Hops, scenario_toml: &str) -> io::Result<()> {
+        write_atomically(&self.folder.join("scenario.toml"), scenario_toml.as_bytes())?;
+        let folder = self.folder.join("latency");
+        fs::create_dir_all(&folder)?;
+        for hop in Hop::ALL {
+            let text = percentiles(hops.of(hop).histogram());
+            fs::write(folder.join(format!("{}.hgrm", hop.name())), text)?;
+        }
+        write_summary(&self.folder.join("summary.json"), summary)
+    }
+}
+
+/// Writes `summary.json`, whole or not at all.
+///
+/// # Errors
+/// If it can't be written.
+pub fn write_summary(path: &Path, summary: &Summary) -> io::Result<()> {
+    let mut text = serde_json::to_string_pretty(summary)?;
+    text.push('\n');
+    write_atomically(path, text.as_bytes())
+}
+
+fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut beside = path.as_os_str().to_owned();
+    beside.push(format!(".{}.tmp", std::process::id()));
+    fs::write(&beside, bytes)?;
+    fs::rename(&beside, path)
+}
+
+fn write_entries(
+    entries: &Receiver<Entry>,
+    links: usize,
+    wall_start_ns: u64,
+    mut samples: impl Write,
+    mut events: impl Write,
+    mut latency: impl Write,
+) -> io::Result<()> {
+    let mut serializer = V2DeflateSerializer::new();
+    let mut log = IntervalLogWriterBuilder::new()
+        .add_comment("latencies in ns, one tag a hop; start-up left out")
+        .with_start_time(epoch(wall_start_ns))
+        .with_base_time(epoch(wall_start_ns))
+        .with_max_value_divisor(NS_PER_MS)
+        .begin_log_with(&mut latency, &mut serializer)?;
+    let mut line = String::with_capacity(1024);
+    while let Ok(entry) = entries.recv() {
+        match entry {
+            Entry::Row(row) => {
+                line.clear();
+                csv_line(&mut line, &row, links);
+                samples.write_all(line.as_bytes())?;
+            }
+            Entry::Event(event) => writeln!(events, "{}", event.to_json())?,
+            Entry::Interval { start_ns, duration_ns, hops } => {
+                for hop in Hop::ALL {
+                    let tag = Tag::new(hop.name());
+                    let (start, duration) = (Duration::from_nanos(start_ns), Duration::from_nanos(duration_ns));
+                    log.write_histogram(hops.of(hop).histogram(), start, duration, tag)
+                        .map_err(|e| io::Error::other(format!("latency.hlog: {e:?}")))?;
+                }
+            }
+        }
+    }
+    drop(log);
+    samples.flush()?;
+    events.flush()?;
+    latency.flush()
+}
+
+fn epoch(wall_ns: u64) -> std::time::SystemTime {
+    std::time::UNIX_EPOCH + Duration::from_nanos(wall_ns)
+}
+
+fn csv_header(links: usize) -> String {
+    let mut header = "tick,t_s".to_owned();
+    for name in ["q", "v", "qd", "vd", "ad", "tau"] {
+        for link in 1..=links {
+            let _ = write!(header, ",{name}{link}");
+        }
+    }
+    header.push_str(",V,V_bound,round_trip_ns,active\n");
+    header
+}
+
+/// One line. Writing to a string cannot fail.
+fn csv_line(line: &mut String, row: &Row, links: usize) {
+    let _ = write!(line, "{},{:?}", row.tick, row.t_s);
+    for values in [&row.q, &row.v, &row.q_d, &row.v_d, &row.a_d, &row.tau] {
+        for value in values.iter().take(links) {
+            let _ = write!(line, ",{value:?}");
+        }
+    }
+    for value in [row.lyapunov, row.lyapunov_bound] {
+        let _ = value.map_or(write!(line, ","), |value| write!(line, ",{value:?}"));
+    }
+    let _ = row.round_trip_ns.map_or(write!(line, ","), |value| write!(line, ",{value}"));
+    let _ = writeln!(line, ",{}", row.active);
+}
+
+/// A percentile file as the plotters of HdrHistogram read it, in µs.
+#[must_use]
+pub fn percentiles(histogram: &Histogram<u64>) -> String {
+    let mut text = format!("{:>12} {:>14} {:>10} {:>14}\n\n", "Value", "Percentile", "TotalCount", "1/(1-Percentile)");
+    let mut total = 0;
+    for step in histogram.iter_quantiles(5) {
+        total += step.count_since_last_iteration();
+        let (value_us, quantile) = (step.value_iterated_to() as f64 * 1e-3, step.quantile_iterated_to());
+        let _ = write!(text, "{value_us:>12.3} {quantile:>2.12} {total:>10}");
+        let _ = if quantile < 1.0 { writeln!(text, " {:>14.2}", 1.0 / (1.0 - quantile)) } else { writeln!(text) };
+    }
+    let (mean_us, stdev_us) = (histogram.mean() * 1e-3, histogram.stdev() * 1e-3);
+    let _ = writeln!(text, "#[Mean    = {mean_us:>12.3}, StdDeviation   = {stdev_us:>12.3}]");
+    let (max_us, count) = (histogram.max() as f64 * 1e-3, histogram.len());
+    let _ = writeln!(text, "#[Max     = {max_us:>12.3}, Total count    = {count:>12}]");
+    let _ = writeln!(text, "#[Buckets = {:>12}, SubBuckets     = {:>12}]", histogram.buckets(), 2048);
+    text
+}

@@ -1,0 +1,230 @@
+//! Latency of every hop in HdrHistograms: which stamps make a hop, and what becomes of values that are none.
+//!
+//! Latencies count from the intended time or from the stamp before, so a stalled loop hides nothing. A value beyond the
+//! range is counted at its end and as overflow, and the largest value is kept exactly: nothing is clipped silently.
+
+use hdrhistogram::Histogram;
+use loopbound_shared::sample::{Receipt, TickRecord};
+
+use crate::summary::{Latency, Quantiles};
+
+/// The largest latency that a histogram resolves: 10 s.
+pub const HIGHEST_NS: u64 = 10_000_000_000;
+const SIGNIFICANT_DIGITS: u8 = 3;
+
+/// The parts of a tick that are timed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Hop {
+    /// Deadline → the plant sampled.
+    Wakeup,
+    /// State published → the controller received it.
+    StateToController,
+    /// State received → torque published.
+    Compute,
+    /// Torque published → the plant received it.
+    ControllerToPlant,
+    /// State published → the plant received the accepted torque.
+    RoundTrip,
+    /// Deadline → the plant received the accepted torque.
+    DeadlineToTorque,
+    /// Setpoint published → the plant sampled the state that was answered with it. It contains the reference's lead.
+    SetpointAge,
+}
+
+impl Hop {
+    /// Every hop, in the order of reports.
+    pub const ALL: [Self; 7] = [
+        Self::Wakeup,
+        Self::StateToController,
+        Self::Compute,
+        Self::ControllerToPlant,
+        Self::RoundTrip,
+        Self::DeadlineToTorque,
+        Self::SetpointAge,
+    ];
+
+    /// The key in `summary.json` and the tag in `latency.hlog`.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Wakeup => "wakeup",
+            Self::StateToController => "state_to_controller",
+            Self::Compute => "compute",
+            Self::ControllerToPlant => "controller_to_plant",
+            Self::RoundTrip => "round_trip",
+            Self::DeadlineToTorque => "deadline_to_torque",
+            Self::SetpointAge => "setpoint_age",
+        }
+    }
+
+    /// The two stamps between which the hop lies: from, to. None where a stamp is absent.
+    ///
+    /// `receipt` is that of the accepted torque, where one was accepted.
+    #[must_use]
+    pub fn stamps(self, record: &TickRecord, receipt: Option<&Receipt>) -> Option<(u64, u64)> {
+        if self == Self::Wakeup {
+            return Some((record.deadline_ns, record.sampled_ns));
+        }
+        let receipt = receipt?;
+        match self {
+            Self::Wakeup => None,
+            Self::StateToController => Some((record.published_ns, receipt.state_received_ns)),
+            Self::Compute => Some((receipt.state_received_ns, receipt.torque_published_ns)),
+            Self::ControllerToPlant => Some((receipt.torque_published_ns, receipt.arrived_ns)),
+            Self::RoundTrip => Some((record.published_ns, receipt.arrived_ns)),
+            Self::DeadlineToTorque => Some((record.deadline_ns, receipt.arrived_ns)),
+            Self::SetpointAge => {
+                (receipt.setpoint_published_ns != 0).then_some((receipt.setpoint_published_ns, record.sampled_ns))
+            }
+        }
+    }
+}
+
+/// One distribution of nanoseconds.
+#[derive(Clone, Debug)]
+pub struct Distribution {
+    histogram: Histogram<u64>,
+    overflow: u64,
+    negative: u64,
+    max_ns: u64,
+}
+
+impl Default for Distribution {
+    fn default() -> Self {
+        let histogram = Histogram::new_with_bounds(1, HIGHEST_NS, SIGNIFICANT_DIGITS);
+        Self {
+            histogram: histogram.expect("1 ns to 10 s with 3 digits is a valid range"),
+            overflow: 0,
+            negative: 0,
+            max_ns: 0,
+        }
+    }
+}
+
+impl Distribution {
+    /// Counts one value. Never allocates.
+    pub fn record(&mut self, value_ns: u64) {
+        self.overflow += u64::from(value_ns > HIGHEST_NS);
+        self.max_ns = self.max_ns.max(value_ns);
+        self.histogram.saturating_record(value_ns.min(HIGHEST_NS));
+    }
+
+    /// Counts the time between two stamps.
+    pub fn record_between(&mut self, (from_ns, to_ns): (u64, u64)) {
+        match to_ns.checked_sub(from_ns) {
+            Some(value_ns) => self.record(value_ns),
+            None => self.negative += 1,
+        }
+    }
+
+    /// The histogram itself.
+    #[must_use]
+    pub fn histogram(&self) -> &Histogram<u64> {
+        &self.histogram
+    }
+
+    /// Forgets everything.
+    pub fn clear(&mut self) {
+        self.histogram.reset();
+        (self.overflow, self.negative, self.max_ns) = (0, 0, 0);
+    }
+
+    /// The quantiles for the report, ns.
+    #[must_use]
+    pub fn quantiles(&self) -> Quantiles {
+        let n = self.histogram.len();
+        let some = |value: u64| (n > 0).then_some(value as f64);
+        // The histogram answers with the upper end of a bucket, which may lie above the largest value.
+        let at = |quantile: f64| some(self.histogram.value_at_quantile(quantile).min(self.max_ns));
+        Quantiles {
+            n,
+            min: some(self.histogram.min()),
+            p50: at(0.5),
+            p90: at(0.9),
+            p99: at(0.99),
+            p99_9: at(0.999),
+            max: some(self.max_ns),
+            mean: (n > 0).then(|| self.histogram.mean()),
+            overflow: self.overflow,
+            negative: self.negative,
+        }
+    }
+}
+
+/// One distribution a hop.
+#[derive(Clone, Debug, Default)]
+pub struct Hops {
+    distributions: [Distribution; Hop::ALL.len()],
+}
+
+impl Hops {
+    /// Counts all hops of one tick.
+    pub fn record(&mut self, record: &TickRecord, receipt: Option<&Receipt>) {
+        for hop in Hop::ALL {
+            if let Some(stamps) = hop.stamps(record, receipt) {
+                self.distributions[hop as usize].record_between(stamps);
+            }
+        }
+    }
+
+    /// The distribution of one hop.
+    #[must_use]
+    pub fn of(&self, hop: Hop) -> &Distribution {
+        &self.distributions[hop as usize]
+    }
+
+    /// Forgets everything.
+    pub fn clear(&mut self) {
+        self.distributions.iter_mut().for_each(Distribution::clear);
+    }
+
+    /// The quantiles for the report, ns.
+    #[must_use]
+    pub fn latency(&self) -> Latency {
+        let of = |hop| self.of(hop).quantiles();
+        Latency {
+            wakeup: of(Hop::Wakeup),
+            state_to_controller: of(Hop::StateToController),
+            compute: of(Hop::Compute),
+            controller_to_plant: of(Hop::ControllerToPlant),
+            round_trip: of(Hop::RoundTrip),
+            deadline_to_torque: of(Hop::DeadlineToTorque),
+            setpoint_age: of(Hop::SetpointAge),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_value_beyond_the_range_is_counted_as_overflow_and_its_size_is_kept() {
+        let mut distribution = Distribution::default();
+        distribution.record(HIGHEST_NS + 5);
+        distribution.record(1000);
+        let quantiles = distribution.quantiles();
+        assert_eq!((quantiles.n, quantiles.overflow), (2, 1));
+        assert_eq!(quantiles.max, Some((HIGHEST_NS + 5) as f64));
+        assert_eq!(quantiles.min, Some(1000.0));
+    }
+
+    #[test]
+    fn stamps_in_the_wrong_order_are_no_latency() {
+        let mut distribution = Distribution::default();
+        distribution.record_between((10, 9));
+        let quantiles = distribution.quantiles();
+        assert_eq!((quantiles.n, quantiles.negative, quantiles.p50), (0, 1, None));
+    }
+
+    #[test]
+    fn quantiles_of_one_to_ten_thousand_are_right_to_three_digits() {
+        let mut distribution = Distribution::default();
+        (1..=10_000).for_each(|value| distribution.record(value));
+        let quantiles = distribution.quantiles();
+        for (found, expected) in [(quantiles.p50, 5e3), (quantiles.p99, 9.9e3), (quantiles.p99_9, 9.99e3)] {
+            assert!((found.unwrap() / expected - 1.0).abs() < 1.1e-3, "{found:?} for {expected}");
+        }
+        assert_eq!(quantiles.max, Some(10_000.0));
+    }
+}

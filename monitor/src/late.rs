@@ -1,0 +1,306 @@
+//! Late and missed ticks on their way to a cause.
+//!
+//! A controller's evidence travels with its *next* torque: what the kernel did to it while it was late is known one
+//! answer later. So a case against a controller waits for that answer, at most [`Config::finalise_ns`] of ticks; one
+//! against the plant is decided at once.
+
+use loopbound_shared::event::{Acceptance, Decision, HappeningKind};
+use loopbound_shared::realtime::Evidence;
+use loopbound_shared::sample::{RECEIPTS_MAX, Receipt, TickRecord, record_flag, torque_flag};
+
+use crate::cause::{Cause, CauseCounts, Clues, Part, attribute};
+use crate::event::{EventKind, EventLog};
+use crate::tracker::{Config, accepted, happenings, receipts};
+
+/// Controllers whose last answer is remembered.
+const WRITERS_MAX: usize = 2 * RECEIPTS_MAX;
+/// Cases that wait for a controller's next answer.
+const WAITING_MAX: usize = 512;
+
+/// The last answer of one controller, with its evidence.
+#[derive(Clone, Copy, Debug)]
+struct LastAnswer {
+    writer: u32,
+    tick: u64,
+    evidence: Evidence,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Case {
+    tick: u64,
+    plant_ns: u64,
+    /// Counts as late (after start-up).
+    late: bool,
+    /// Counts as missed so many times.
+    missed: u64,
+    decision: Option<u32>,
+    deadline_to_torque_ns: u64,
+    writer: u32,
+    answered_before: Option<LastAnswer>,
+    clues: Clues,
+}
+
+/// Finds the causes of late and missed ticks.
+#[derive(Debug)]
+pub struct Causes {
+    waiting: Vec<Case>,
+    answers: Vec<LastAnswer>,
+    plant_before: Option<(Evidence, u64)>,
+    active_before: u32,
+    joined_before: Option<u64>,
+    /// Late ticks by cause.
+    pub late: CauseCounts,
+    /// Missed ticks by cause.
+    pub missed: CauseCounts,
+}
+
+impl Default for Causes {
+    fn default() -> Self {
+        Self {
+            waiting: Vec::with_capacity(WAITING_MAX),
+            answers: Vec::with_capacity(WRITERS_MAX),
+            plant_before: None,
+            active_before: 0,
+            joined_before: None,
+            late: CauseCounts::default(),
+            missed: CauseCounts::default(),
+        }
+    }
+}
+
+impl Causes {
+    /// Takes the next record. `settled`: past the start-up. Returns how many ticks were missed with it.
+    pub fn feed(&mut self, config: &Config, record: &TickRecord, settled: bool, events: &mut EventLog) -> u64 {
+        self.decide_answered(config, record, events);
+        let at_rest = record.flags & record_flag::AT_REST != 0;
+        let mut missed = 0;
+        if !at_rest {
+            let clues = self.plant_clues(config, record);
+            if record.skipped_before > 0 {
+                missed += record.skipped_before;
+                self.open_skipped(config, record, clues, events);
+            }
+            let is_missed = is_missed(record);
+            missed += u64::from(is_missed);
+            let deadline_to_torque_ns =
+                accepted(record).map_or(0, |receipt| receipt.arrived_ns.saturating_sub(record.deadline_ns));
+            let late = settled && deadline_to_torque_ns > config.late_ns;
+            if late || is_missed {
+                self.open(config, record, clues, late, is_missed, deadline_to_torque_ns, events);
+            }
+        }
+        self.remember(record);
+        missed
+    }
+
+    /// Decides whatever still waits: nothing more will come.
+    pub fn finish(&mut self, config: &Config, last_tick: u64, events: &mut EventLog) {
+        while let Some(case) = self.waiting.pop() {
+            self.decide(config, case, None, last_tick, events);
+        }
+    }
+
+    fn plant_clues(&self, config: &Config, record: &TickRecord) -> Clues {
+        let (evidence, span_ns) = self.plant_before.map_or((Evidence::default(), 0), |(before, at_ns)| {
+            (record.evidence.since(&before), record.sampled_ns.saturating_sub(at_ns))
+        });
+        let answered = accepted(record);
+        Clues {
+            part: Part::PlantWakeup,
+            lost_ns: 0,
+            evidence,
+            evidence_span_ns: span_ns,
+            spin_gap_ns: record.spin_gap_ns,
+            injected: record.flags & record_flag::FAULT_INJECTED != 0
+                || answered.is_some_and(|receipt| receipt.flags & torque_flag::FAULT_INJECTED != 0),
+            joined: joined(record).or(self.joined_before),
+            silence_ns: 0,
+            two_ticks_ns: 2 * config.period_ns,
+            removed: false,
+            setpoint_stale: record.flags & record_flag::SETPOINT_STALE != 0
+                || answered.is_some_and(|receipt| receipt.flags & torque_flag::SETPOINT_STALE != 0),
+        }
+    }
+
+    fn open_skipped(&mut self, config: &Config, record: &TickRecord, clues: Clues, events: &mut EventLog) {
+        let lost_ns = record.skipped_before.saturating_mul(config.period_ns);
+        let case = Case {
+            tick: record.tick.saturating_sub(record.skipped_before),
+            plant_ns: record.start_plant_ns,
+            late: false,
+            missed: record.skipped_before,
+            decision: None,
+            deadline_to_torque_ns: 0,
+            writer: 0,
+            answered_before: None,
+            clues: Clues { lost_ns, ..clues },
+        };
+        self.decide(config, case, None, record.tick, events);
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "one call; all of them describe the one case")]
+    fn open(
+        &mut self,
+        config: &Config,
+        record: &TickRecord,
+        mut clues: Clues,
+        late: bool,
+        missed: bool,
+        deadline_to_torque_ns: u64,
+        events: &mut EventLog,
+    ) {
+        let blamed = if self.active_before == 0 { record.active } else { self.active_before };
+        let blamed_receipt = receipts(record).iter().find(|receipt| receipt.writer == blamed);
+        (clues.part, clues.lost_ns) = part_of(config, record, blamed);
+        clues.injected |= blamed_receipt
+            .is_some_and(|receipt| receipt.flags & (torque_flag::FAULT_INJECTED | torque_flag::WITHHELD) != 0);
+        clues.removed = happenings(record)
+            .iter()
+            .any(|happening| happening.kind == HappeningKind::MemberRemoved.code() && happening.subject == blamed);
+        let case = Case {
+            tick: record.tick,
+            plant_ns: record.start_plant_ns,
+            late,
+            missed: u64::from(missed),
+            decision: Some(record.decision),
+            deadline_to_torque_ns,
+            writer: blamed,
+            answered_before: self.answers.iter().find(|answer| answer.writer == blamed).copied(),
+            clues,
+        };
+        let at_once = clues.part.is_plants() || clues.part == Part::Unknown || clues.injected || clues.removed;
+        if at_once || self.waiting.len() == WAITING_MAX {
+            self.decide(config, case, None, record.tick, events);
+        } else {
+            self.waiting.push(case);
+        }
+    }
+
+    /// Decides the cases whose controller has answered since, and those that have waited for long enough.
+    fn decide_answered(&mut self, config: &Config, record: &TickRecord, events: &mut EventLog) {
+        let mut at = 0;
+        while at < self.waiting.len() {
+            let case = self.waiting[at];
+            let answer = receipts(record).iter().find(|receipt| receipt.writer == case.writer && has_come(receipt));
+            let waited_ns = record.tick.saturating_sub(case.tick).saturating_mul(config.period_ns);
+            if answer.is_some() || waited_ns > config.finalise_ns {
+                self.waiting.remove(at);
+                self.decide(config, case, answer, record.tick, events);
+            } else {
+                at += 1;
+            }
+        }
+    }
+
+    fn decide(&mut self, config: &Config, case: Case, answer: Option<&Receipt>, now_tick: u64, events: &mut EventLog) {
+        let mut clues = case.clues;
+        if !clues.part.is_plants() {
+            // Until its answer comes, nothing is known of what the kernel did to the controller.
+            clues.evidence = match (answer, case.answered_before) {
+                (Some(answer), Some(before)) => evidence_of(answer).since(&before.evidence),
+                _ => Evidence::default(),
+            };
+            let from_tick = case.answered_before.map_or(case.tick, |before| before.tick + 1);
+            clues.silence_ns = now_tick.saturating_sub(from_tick).saturating_mul(config.period_ns);
+        }
+        let why = attribute(&clues);
+        if case.late {
+            self.late.add(why.cause, 1);
+            let deadline_to_torque_ns = case.deadline_to_torque_ns;
+            events.push(case.tick, case.plant_ns, EventKind::Late { deadline_to_torque_ns, why });
+        }
+        if case.missed > 0 {
+            self.missed.add(why.cause, case.missed);
+            let kind = EventKind::Missed { ticks: case.missed, decision: case.decision, why };
+            events.push(case.tick, case.plant_ns, kind);
+        }
+    }
+
+    fn remember(&mut self, record: &TickRecord) {
+        self.plant_before = Some((record.evidence, record.sampled_ns));
+        self.active_before = record.active;
+        self.joined_before = joined(record);
+        for receipt in receipts(record).iter().filter(|receipt| has_come(receipt)) {
+            let last = LastAnswer { writer: receipt.writer, tick: record.tick, evidence: evidence_of(receipt) };
+            let known = self.answers.iter().position(|answer| answer.writer == receipt.writer);
+            if known.is_none() && self.answers.len() < WRITERS_MAX {
+                self.answers.push(last);
+                continue;
+            }
+            // A group that has seen more controllers than fit forgets the one that has been silent for longest.
+            let oldest = || (0..self.answers.len()).min_by_key(|&at| self.answers[at].tick);
+            if let Some(place) = known.or_else(oldest) {
+                self.answers[place] = last;
+            }
+        }
+    }
+
+    /// Missed ticks by cause, with those that the plant counted and this monitor did not see as unknown.
+    #[must_use]
+    pub fn missed_of(&self, total: u64) -> CauseCounts {
+        let mut counts = self.missed;
+        counts.add(Cause::Unknown, total.saturating_sub(counts.total()));
+        counts
+    }
+}
+
+/// Whether a tick had no accepted torque by its grace deadline.
+fn is_missed(record: &TickRecord) -> bool {
+    match Decision::from_code(record.decision) {
+        Some(Decision::Active | Decision::Standby | Decision::Blend | Decision::Rest) => false,
+        Some(Decision::ActiveLate | Decision::Held | Decision::Damped | Decision::Stopped) | None => true,
+    }
+}
+
+fn has_come(receipt: &Receipt) -> bool {
+    receipt.arrived_ns != 0 && receipt.acceptance != Acceptance::None.code()
+}
+
+fn evidence_of(receipt: &Receipt) -> Evidence {
+    Evidence {
+        run_delay_ns: receipt.run_delay_ns,
+        involuntary_switches: receipt.involuntary_switches,
+        // The receipt does not tell minor from major; minor is the more frequent by far.
+        minor_faults: receipt.faults,
+        ..Evidence::default()
+    }
+}
+
+/// How long mapping took in this tick, if anything was mapped; 0 if the record does not say how long.
+fn joined(record: &TickRecord) -> Option<u64> {
+    let happened = happenings(record).iter().filter(|happening| happening.kind == HappeningKind::Joined.code());
+    let mapping_ns = happened.map(|happening| happening.detail).max();
+    mapping_ns.or((record.flags & record_flag::JOINED != 0).then_some(0))
+}
+
+/// Where most of the time went, and how long that was.
+fn part_of(config: &Config, record: &TickRecord, blamed: u32) -> (Part, u64) {
+    let before_state_ns = record.published_ns.saturating_sub(record.deadline_ns);
+    let answer = receipts(record).iter().find(|receipt| {
+        receipt.writer == blamed
+            && matches!(
+                Acceptance::from_code(receipt.acceptance),
+                Some(Acceptance::Applied | Acceptance::Late | Acceptance::LateUnused | Acceptance::Standby)
+            )
+    });
+    let Some(receipt) = answer else {
+        let open_ns = record.grace_deadline_ns.saturating_sub(record.published_ns);
+        let plants = before_state_ns >= config.late_ns.max(open_ns);
+        return if plants { (Part::PlantWakeup, before_state_ns) } else { (Part::NoAnswer, open_ns) };
+    };
+    let between = |from_ns: u64, to_ns: u64| to_ns.checked_sub(from_ns);
+    let parts = [
+        (Part::ControllerWakeup, between(record.published_ns, receipt.state_received_ns)),
+        (Part::Compute, between(receipt.state_received_ns, receipt.torque_published_ns)),
+        (Part::Return, between(receipt.torque_published_ns, receipt.arrived_ns)),
+    ];
+    let mut most = (Part::PlantWakeup, before_state_ns);
+    for (part, lost_ns) in parts {
+        match lost_ns {
+            None => return (Part::Unknown, 0),
+            Some(lost_ns) if lost_ns > most.1 => most = (part, lost_ns),
+            Some(_) => {}
+        }
+    }
+    most
+}

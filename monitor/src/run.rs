@@ -1,0 +1,373 @@
+//! The monitor as a process: attach, drain, judge, report, leave.
+//!
+//! It runs at the ordinary priority, polls and is never a listener, so that the loop does not feel it. It ends with
+//! the plant's last record, with the plant, on the stop flag, after its time, or when the group has died.
+
+use std::io::IsTerminal;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
+
+use loopbound_shared::clock::{now_ns, sleep_until_ns_or_signal, wall_time, wall_time_ns};
+use loopbound_shared::doorbell::Bell;
+use loopbound_shared::event::{Phase, Role};
+use loopbound_shared::group::runtime_folder;
+use loopbound_shared::ports::{Publisher, Subscriber};
+use loopbound_shared::realtime::{Privileges, die_with_parent};
+use loopbound_shared::role::{Joined, RoleArgs, RoleError, announce, build_id, join};
+use loopbound_shared::sample::{Announce, TickRecord, record_flag};
+use loopbound_shared::scenario::Mode;
+use loopbound_shared::topics::Topic;
+use loopbound_shared::with_links;
+
+use crate::files::{Recorder, write_summary};
+use crate::judge::Judge;
+use crate::members::Members;
+use crate::render::render;
+use crate::summary::Summary;
+use crate::tracker::{Config, Tracker};
+use crate::verdict::judge_summary;
+
+/// Ticks that the plant may be ahead of a managed monitor: three quarters of the subscriber's buffer.
+const CREDIT_TICKS: u64 = 1536;
+/// Records between two looks at everything else.
+const BATCH_MAX: usize = 256;
+/// Interval between two looks at the topics.
+const POLL_NS: u64 = 2_000_000;
+/// Interval between two looks at what changes seldom: members, announcements.
+const CARE_NS: u64 = 20_000_000;
+/// Records that were sent just before the plant ended arrive within this time.
+const DRAIN_NS: u64 = 50_000_000;
+/// Silence, without a plant that lives, after which there is no group.
+const SILENCE_NS: u64 = 10_000_000_000;
+/// Length of the intervals of `latency.hlog`.
+const INTERVAL_NS: u64 = 1_000_000_000;
+
+/// How a monitor is started.
+#[derive(Clone, Debug, Default)]
+pub struct MonitorArgs {
+    /// Name of the group.
+    pub group: String,
+    /// Id among the monitors.
+    pub id: u32,
+    /// The scenario; without it the group's own.
+    pub scenario: Option<PathBuf>,
+    /// The supervisor: if it dies, the monitor ends.
+    pub parent: Option<u32>,
+    /// Where the files of the run go.
+    pub out: Option<PathBuf>,
+    /// Print JSON instead of the report (only when not managed).
+    pub json: bool,
+    /// Started by the launcher: grants credit, leaves `summary.json` in the group's folder, prints nothing.
+    pub managed: bool,
+    /// Leave after this time.
+    pub duration_ns: Option<u64>,
+}
+
+/// Why the watching ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ended {
+    /// The plant's last record came.
+    LastRecord,
+    /// The plant ended without one.
+    PlantEnded,
+    /// The stop flag was set.
+    Stopped,
+    /// The time asked for is over.
+    Duration,
+    /// Plant and supervisor are gone.
+    GroupDied,
+}
+
+impl Ended {
+    /// The words in the summary.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::LastRecord => "last record",
+            Self::PlantEnded => "plant ended",
+            Self::Stopped => "stopped",
+            Self::Duration => "duration",
+            Self::GroupDied => "group died",
+        }
+    }
+}
+
+/// What a monitor has seen.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// All figures.
+    pub summary: Summary,
+    /// Why it ended.
+    pub ended: Ended,
+}
+
+/// Watches a group until it ends, or `stop` is set.
+///
+/// # Errors
+/// If the group is not running or of another build, the scenario is refused, or the files can't be written.
+pub fn run(args: &MonitorArgs, stop: &AtomicBool) -> Result<Outcome, RoleError> {
+    if let Some(parent) = args.parent {
+        die_with_parent(parent).map_err(|e| RoleError::Other(format!("the supervisor is gone: {e}")))?;
+    }
+    let joined = join(&RoleArgs {
+        group: args.group.clone(),
+        id: args.id,
+        scenario: args
+            .scenario
+            .clone()
+            .unwrap_or_else(|| runtime_folder().join(&args.group).join("scenario.toml")),
+        parent: args.parent,
+    })?;
+    let links = joined.scenario.links();
+    let outcome = with_links!(links, watch::<N>(args, &joined, stop))?;
+    report(args, &joined, &outcome)?;
+    Ok(outcome)
+}
+
+fn watch<const N: usize>(args: &MonitorArgs, joined: &Joined, stop: &AtomicBool) -> Result<Outcome, RoleError> {
+    let mut watch = Watch::<N>::open(args, joined)?;
+    watch.grant();
+    watch.announce(Phase::Ready);
+    let ended = watch.until_the_end(stop);
+    watch.announce(Phase::Ended);
+    let summary = watch.finish(ended)?;
+    Ok(Outcome { summary, ended })
+}
+
+struct Watch<'a, const N: usize> {
+    args: &'a MonitorArgs,
+    joined: &'a Joined,
+    lockstep: bool,
+    records: Subscriber<TickRecord>,
+    announces: Subscriber<Announce>,
+    announcer: Publisher<Announce>,
+    tracker: Tracker<N>,
+    members: Members,
+    recorder: Option<Recorder>,
+    started_ns: u64,
+    interval_from_ns: u64,
+    last_record_ns: u64,
+    last_seen: bool,
+}
+
+impl<'a, const N: usize> Watch<'a, N> {
+    fn open(args: &'a MonitorArgs, joined: &'a Joined) -> Result<Self, RoleError> {
+        let scenario = &joined.scenario;
+        let lockstep = scenario.loop_.mode == Mode::Lockstep;
+        let config = Config {
+            period_ns: scenario.period_ns(),
+            late_ns: scenario.loop_.late_ns(),
+            settle_ns: scenario.loop_.settle_ns(),
+            start_up_ns: scenario.loop_.start_up.ns(),
+            finalise_ns: scenario.monitor.finalise.ns(),
+            lockstep,
+        };
+        let other = |e: &dyn std::fmt::Display| RoleError::Other(e.to_string());
+        let judge = Judge::new(scenario).map_err(|e| other(&e))?;
+        let recorder = match &args.out {
+            None => None,
+            Some(folder) => {
+                let lossless = lockstep && args.managed;
+                let recorder = Recorder::start(folder, N, wall_time_ns(), lossless);
+                Some(recorder.map_err(|e| RoleError::Other(format!("{}: {e}", folder.display())))?)
+            }
+        };
+        let now_ns = now_ns();
+        Ok(Self {
+            args,
+            joined,
+            lockstep,
+            records: joined.node.subscriber(TickRecord::DEPTH)?,
+            announces: joined.node.subscriber(Announce::DEPTH)?,
+            announcer: joined.node.publisher()?,
+            tracker: Tracker::new(config, Some(judge)),
+            members: Members::default(),
+            recorder,
+            started_ns: now_ns,
+            interval_from_ns: now_ns,
+            last_record_ns: now_ns,
+            last_seen: false,
+        })
+    }
+
+    fn announce(&self, phase: Phase) {
+        let links = self.joined.scenario.links();
+        let own = announce(Role::Monitor, self.args.id, phase, links, Privileges::default(), "monitor");
+        // A full slot is of no consequence: the supervisor also watches the process itself.
+        let _ = self.announcer.send(own);
+    }
+
+    fn until_the_end(&mut self, stop: &AtomicBool) -> Ended {
+        let mut care_ns = 0;
+        loop {
+            let drained = self.drain();
+            let now_ns = now_ns();
+            if now_ns >= care_ns {
+                care_ns = now_ns + CARE_NS;
+                self.care(now_ns);
+            }
+            if self.last_seen {
+                return Ended::LastRecord;
+            }
+            if stop.load(SeqCst) {
+                return Ended::Stopped;
+            }
+            if self.args.duration_ns.is_some_and(|ns| now_ns.saturating_sub(self.started_ns) >= ns) {
+                return Ended::Duration;
+            }
+            if drained > 0 {
+                continue;
+            }
+            if let Some(ended) = self.is_over(now_ns) {
+                self.drain_the_rest();
+                return if self.last_seen { Ended::LastRecord } else { ended };
+            }
+            self.wait(now_ns + POLL_NS);
+        }
+    }
+
+    /// Takes a batch of records. Returns how many there were.
+    fn drain(&mut self) -> usize {
+        let mut count = 0;
+        while count < BATCH_MAX {
+            let (tracker, last_seen) = (&mut self.tracker, &mut self.last_seen);
+            let taken = self.records.take_with(|record| {
+                *last_seen |= record.flags & record_flag::LAST != 0;
+                tracker.feed(record)
+            });
+            let Some(row) = taken else { break };
+            count += 1;
+            if let (Some(recorder), Some(row)) = (&mut self.recorder, row) {
+                recorder.row(row);
+            }
+        }
+        if count > 0 {
+            self.last_record_ns = now_ns();
+            self.grant();
+            let recorder = &mut self.recorder;
+            self.tracker.drain_events().for_each(|event| {
+                if let Some(recorder) = recorder {
+                    recorder.event(event);
+                }
+            });
+        }
+        count
+    }
+
+    /// Tells the plant how far it may go, so that the launcher's monitor gets every record.
+    fn grant(&self) {
+        if self.args.managed {
+            let next = self.tracker.last_tick().map_or(0, |tick| tick.saturating_add(1));
+            self.joined.block.pace().credit.store(next.saturating_add(CREDIT_TICKS), SeqCst);
+            self.joined.block.ring(Bell::Pace);
+        }
+    }
+
+    fn care(&mut self, now_ns: u64) {
+        let _ = self.announcer.update_connections();
+        while let Some(announce) = self.announces.take() {
+            self.members.learn(&announce);
+            self.tracker.learn(&announce);
+        }
+        let duration_ns = now_ns.saturating_sub(self.interval_from_ns);
+        if duration_ns >= INTERVAL_NS {
+            self.close_interval(now_ns);
+        }
+    }
+
+    fn close_interval(&mut self, now_ns: u64) {
+        if let Some(recorder) = &mut self.recorder {
+            let start_ns = self.interval_from_ns.saturating_sub(self.started_ns);
+            let duration_ns = now_ns.saturating_sub(self.interval_from_ns);
+            recorder.interval(start_ns, duration_ns, self.tracker.interval());
+        }
+        self.tracker.start_interval();
+        self.interval_from_ns = now_ns;
+    }
+
+    fn is_over(&mut self, now_ns: u64) -> Option<Ended> {
+        let silent_ns = now_ns.saturating_sub(self.last_record_ns);
+        if self.joined.block.pace().plant_ended.load(SeqCst) != 0 {
+            return Some(Ended::PlantEnded);
+        }
+        let plant = self.members.is_alive(Role::Plant);
+        let dead = match plant {
+            Some(alive) => !alive,
+            // A plant that never announced itself: silence must do.
+            None => silent_ns > SILENCE_NS + 3 * self.joined.scenario.period_ns(),
+        };
+        dead.then_some(Ended::GroupDied)
+    }
+
+    fn drain_the_rest(&mut self) {
+        let until_ns = now_ns() + DRAIN_NS;
+        loop {
+            let drained = self.drain();
+            let now_ns = now_ns();
+            if self.last_seen || (drained == 0 && now_ns >= until_ns) {
+                return;
+            }
+            if drained == 0 {
+                let _ = sleep_until_ns_or_signal(now_ns + POLL_NS);
+            }
+        }
+    }
+
+    /// Lockstep goes as fast as its monitor lets it: there the bell is answered at once.
+    fn wait(&mut self, until_ns: u64) {
+        if self.lockstep {
+            let joined = self.joined;
+            let _ = joined.block.wait(Bell::Pace, until_ns, || (self.drain() > 0).then_some(()));
+        } else {
+            let _ = sleep_until_ns_or_signal(until_ns);
+        }
+    }
+
+    fn finish(mut self, ended: Ended) -> Result<Summary, RoleError> {
+        self.care(now_ns());
+        self.close_interval(now_ns());
+        self.tracker.finish();
+        let mut summary = self.tracker.summarise();
+        let scenario = &self.joined.scenario;
+        summary.group.clone_from(&self.args.group);
+        summary.build = format!("{:016x}", build_id());
+        summary.written = wall_time();
+        summary.ended = ended.name().to_owned();
+        summary.processes = self.members.summaries();
+        summary.host = crate::host::describe();
+        summary.scenario = serde_json::to_value(scenario).unwrap_or_default();
+        if let Some(recorder) = &mut self.recorder {
+            for event in self.tracker.drain_events() {
+                recorder.event(event);
+            }
+            let lost = recorder.finish().map_err(|e| RoleError::Other(format!("the files of the run: {e}")))?;
+            summary.dropped.samples += lost.samples;
+            summary.dropped.events += lost.events;
+            summary.dropped.intervals += lost.intervals;
+        }
+        summary.verdict = judge_summary(&summary);
+        if let Some(recorder) = &self.recorder {
+            let toml = scenario.to_toml()?;
+            recorder
+                .write_end(&summary, self.tracker.hops(), &toml)
+                .map_err(|e| RoleError::Other(format!("the files of the run: {e}")))?;
+        }
+        Ok(summary)
+    }
+}
+
+/// Leaves the summary to the launcher, or prints it.
+fn report(args: &MonitorArgs, joined: &Joined, outcome: &Outcome) -> Result<(), RoleError> {
+    if args.managed {
+        let path = joined.group.file("summary.json");
+        return write_summary(&path, &outcome.summary)
+            .map_err(|e| RoleError::Other(format!("{}: {e}", path.display())));
+    }
+    if args.json {
+        let text = serde_json::to_string_pretty(&outcome.summary);
+        println!("{}", text.map_err(|e| RoleError::Other(e.to_string()))?);
+    } else {
+        print!("{}", render(&outcome.summary, 100, std::io::stdout().is_terminal()));
+    }
+    Ok(())
+}

@@ -1,0 +1,392 @@
+//! The figures of a run as they are written: `summary.json`, its keys and its version.
+//!
+//! A figure that does not exist (no samples, nothing certified, not finite) is `null`, never NaN and never zero.
+//! Keys are only ever added within one [`SCHEMA`]; whoever reads a file ignores keys it does not know.
+
+use std::collections::BTreeMap;
+
+use loopbound_shared::realtime::Privileges;
+use loopbound_shared::sample::Counters;
+use serde::{Deserialize, Serialize};
+
+/// Version of the keys below; raised when one is removed or changes its meaning.
+pub const SCHEMA: u32 = 1;
+
+/// A figure for the file: `None` unless finite.
+#[must_use]
+pub fn finite(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
+}
+
+/// All figures of one run, as seen by one monitor.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Summary {
+    /// [`SCHEMA`] of the writer.
+    pub schema: u32,
+    /// Version of the program that wrote it.
+    pub version: String,
+    /// Identifies what the executables exchange, in hexadecimal.
+    pub build: String,
+    /// Name of the group.
+    pub group: String,
+    /// When it was written, UTC.
+    pub written: String,
+    /// How the watching ended.
+    pub ended: String,
+    /// Links of the chain.
+    pub links: u32,
+    /// Ticks that the plant closed, since its start.
+    pub ticks: u64,
+    /// Ticks of which this monitor has the record.
+    pub ticks_seen: u64,
+    /// The first of them: later than 0 when the monitor attached to a running group.
+    pub first_tick: Option<u64>,
+    /// The last of them.
+    pub last_tick: Option<u64>,
+    /// Ticks per second.
+    pub rate_hz: Option<f64>,
+    /// `realtime` or `lockstep`.
+    pub mode: String,
+    /// In lockstep all latencies are virtual: what was injected, not what was measured.
+    pub latency_is_virtual: bool,
+    /// Plant time from the first record's start to the last one's end, s.
+    pub duration_s: f64,
+    /// Ticks left out of the latency statistics: at rest, and `loop.start_up` after the first accepted torque.
+    pub start_up_ticks: u64,
+    /// Skipped, or without an accepted torque by the grace deadline; since the start of the plant.
+    pub missed_ticks: u64,
+    /// The same by cause; those that this monitor did not see are `unknown`.
+    pub missed_ticks_by_cause: BTreeMap<String, u64>,
+    /// Deadline → torque above this counts as late, ns.
+    pub late_limit_ns: u64,
+    /// Late ticks that were seen, start-up left out.
+    pub late_ticks: u64,
+    /// The same by cause.
+    pub late_ticks_by_cause: BTreeMap<String, u64>,
+    /// Share of the late ticks whose cause is unknown.
+    pub late_unknown_share: Option<f64>,
+    /// Wake-ups after the next deadline.
+    pub overruns: u64,
+    /// Ticks whose setpoint was absent and extrapolated.
+    pub setpoint_stale: u64,
+    /// Ticks that the plant closed while this monitor watched, and whose record it did not get.
+    pub monitor_gaps: u64,
+    /// What the host alone does to the loop: lateness of the plant's own wake-up, ns. None in lockstep.
+    pub floor: Option<Quantiles>,
+    /// Latency of every hop, ns.
+    pub latency_ns: Latency,
+    /// Distance between successive sampling instants, ns.
+    pub jitter_ns: Jitter,
+    /// The bound, checked live.
+    pub bound: BoundSummary,
+    /// Tracking error once settled.
+    pub tracking: Tracking,
+    /// Changes of the controller in charge, in order.
+    pub swaps: Vec<SwapSummary>,
+    /// Changes beyond what the list holds.
+    pub swaps_not_listed: u64,
+    /// The plant's own counts, since its start.
+    pub counters: BTreeMap<String, u64>,
+    /// Events by kind.
+    pub events: BTreeMap<String, u64>,
+    /// Injected faults of the plant by kind, and of torques by their own account.
+    pub faults_injected: BTreeMap<String, u64>,
+    /// Who took part.
+    pub processes: Vec<ProcessSummary>,
+    /// What the disc could not take in time.
+    pub dropped: Dropped,
+    /// The machine.
+    pub host: BTreeMap<String, serde_json::Value>,
+    /// The scenario with all defaults filled in.
+    pub scenario: serde_json::Value,
+    /// What the supervisor saw: deaths, restarts, exit reasons.
+    pub supervision: serde_json::Value,
+    /// What the run is worth in one word, and why.
+    pub verdict: Verdict,
+}
+
+/// Quantiles of one distribution. All but the counts are `null` without samples.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Quantiles {
+    /// Samples.
+    pub n: u64,
+    /// Least.
+    pub min: Option<f64>,
+    /// Median.
+    pub p50: Option<f64>,
+    /// 90 %.
+    pub p90: Option<f64>,
+    /// 99 %.
+    pub p99: Option<f64>,
+    /// 99.9 %.
+    pub p99_9: Option<f64>,
+    /// Largest; exact also beyond the range of the histogram.
+    pub max: Option<f64>,
+    /// Mean.
+    pub mean: Option<f64>,
+    /// Samples beyond the range of the histogram, counted at its upper end.
+    pub overflow: u64,
+    /// Pairs of stamps in the wrong order: not a latency, left out.
+    pub negative: u64,
+}
+
+/// One distribution a hop; `docs/timing.md` says what each includes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Latency {
+    /// Deadline → the plant sampled.
+    pub wakeup: Quantiles,
+    /// State published → the controller received it.
+    pub state_to_controller: Quantiles,
+    /// State received → torque published.
+    pub compute: Quantiles,
+    /// Torque published → the plant received it.
+    pub controller_to_plant: Quantiles,
+    /// State published → the plant received the accepted torque.
+    pub round_trip: Quantiles,
+    /// Deadline → the plant received the accepted torque: what control feels.
+    pub deadline_to_torque: Quantiles,
+    /// Setpoint published → the plant sampled the state that was answered with it.
+    pub setpoint_age: Quantiles,
+}
+
+/// How regularly the plant samples: s_{k+1} − s_k over pairs of neighbouring ticks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Jitter {
+    /// Intervals.
+    pub n: u64,
+    /// Mean interval.
+    pub mean: Option<f64>,
+    /// Its standard deviation.
+    pub std: Option<f64>,
+    /// Shortest interval.
+    pub min: Option<f64>,
+    /// Longest interval.
+    pub max: Option<f64>,
+    /// Median of |interval − period|.
+    pub deviation_p50: Option<f64>,
+    /// 99 % of |interval − period|.
+    pub deviation_p99: Option<f64>,
+    /// 99.9 % of |interval − period|.
+    pub deviation_p99_9: Option<f64>,
+}
+
+/// The bound. Numbers in brackets are the equations of `docs/model-and-bound.md`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct BoundSummary {
+    /// Law of the controller in charge at the end; none for an unknown one.
+    pub law: Option<String>,
+    /// Whether that law with its gains is certified for the scenario's start.
+    pub certified: bool,
+    /// Requirements that are not met.
+    pub shortfalls: Vec<String>,
+    /// Ticks checked with a certificate.
+    pub checked: u64,
+    /// Ticks with X above the tolerance while V ≤ c. [10]
+    pub violations: u64,
+    /// Ticks with X − ∫L above it: latency does not explain them.
+    pub violations_delay_aware: u64,
+    /// Ticks that broke promise (a).
+    pub violations_promise: u64,
+    /// Checked ticks by what the diagnosis found.
+    pub verdicts: BTreeMap<String, u64>,
+    /// c, the certified level of V.
+    pub level: Option<f64>,
+    /// κ, N·m·s. [7]
+    pub kappa: Option<f64>,
+    /// K_t, N·m·s.
+    pub k_t: Option<f64>,
+    /// V of the first tick seen.
+    pub v_start: Option<f64>,
+    /// Largest V.
+    pub v_max: Option<f64>,
+    /// V at the end.
+    pub v_final: Option<f64>,
+    /// α, 1/s. [8]
+    pub alpha: Option<f64>,
+    /// ε. [8]
+    pub epsilon: Option<f64>,
+    /// C1, N·m. [6]
+    pub c1: Option<f64>,
+    /// Largest observed Ψ less its κ terms, N·m: sound assumptions keep it below C1.
+    pub psi_max: Option<f64>,
+    /// Least slack of promise (a): its right side less V, over checked ticks.
+    pub slack_min: Option<f64>,
+    /// Mean slack of promise (a).
+    pub slack_mean: Option<f64>,
+    /// ‖W‖, the radius outside which V falls. (20)
+    pub uub_radius: Option<f64>,
+    /// The ultimate bound of |e|, rad. [9]
+    pub ultimate_bound: Option<f64>,
+    /// Largest ‖W‖ observed once settled.
+    pub w_norm_max_settled: Option<f64>,
+    /// How much later the p99.9 torque could be before the sampled loop is unstable, ns. [11]
+    pub delay_margin_ns: Option<f64>,
+    /// Share of the latency budget used, by the p99.9 of the loop latency. [11]
+    pub budget_used: Option<f64>,
+    /// The loop latency that it is computed from, ns.
+    pub loop_latency_ns: Option<f64>,
+}
+
+/// Tracking error over the ticks after `loop.settle`; `null` for a run that ended before.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Tracking {
+    /// Ticks after `loop.settle`.
+    pub n: u64,
+    /// Largest |e_i|, over links and ticks, rad.
+    pub max_abs_e_rad: Option<f64>,
+    /// Root mean square of e_i, over links and ticks, rad.
+    pub rms_e_rad: Option<f64>,
+    /// Largest |ė_i|, rad/s.
+    pub max_abs_ed_rad_s: Option<f64>,
+    /// Root mean square of ė_i, rad/s.
+    pub rms_ed_rad_s: Option<f64>,
+}
+
+/// One change of the controller in charge, or one that was refused.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct SwapSummary {
+    /// The first tick of the new one.
+    pub tick: u64,
+    /// Controller before.
+    pub from: u32,
+    /// Controller after.
+    pub to: u32,
+    /// `swap` or `failover`.
+    pub kind: String,
+    /// Ticks missed from that tick on, for 50 ms.
+    pub missed_ticks: u64,
+    /// Largest step of one torque at the change, N·m.
+    pub torque_step_nm: Option<f64>,
+    /// V at the end of the first tick of the new one, less V at its start.
+    pub delta_v: Option<f64>,
+    /// `done`, `refused` or `rolled back`.
+    pub result: String,
+    /// Why, where it was refused or rolled back.
+    pub reason: Option<String>,
+}
+
+/// One process of the group.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct ProcessSummary {
+    /// Its role.
+    pub role: String,
+    /// Its id within the group.
+    pub id: u32,
+    /// Its process id.
+    pub pid: u32,
+    /// Law or executable.
+    pub name: String,
+    /// `ready`, `ended` or `failed`, as it announced last.
+    pub phase: String,
+    /// What it had of real-time privileges.
+    pub privileges: serde_json::Value,
+    /// What was refused, with its cost and what mends it.
+    pub missing: Vec<MissingPrivilege>,
+}
+
+/// A privilege that was asked for and refused.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct MissingPrivilege {
+    /// Which.
+    pub step: String,
+    /// What it costs.
+    pub cost: String,
+    /// What mends it.
+    pub remedy: String,
+}
+
+/// Rows and events that found the writer's queue full.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Dropped {
+    /// Rows of `samples.csv`.
+    pub samples: u64,
+    /// Lines of `events.jsonl`.
+    pub events: u64,
+    /// Intervals of `latency.hlog`.
+    pub intervals: u64,
+}
+
+/// What a run is worth.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Verdict {
+    /// `held`, `violated`, `late`, `not certified`, `no data`; an expectation's verdict replaces it.
+    pub status: String,
+    /// One sentence each.
+    pub reasons: Vec<String>,
+}
+
+/// The plant's counts by their names in the file.
+#[must_use]
+pub fn counters_by_name(counters: &Counters) -> BTreeMap<String, u64> {
+    let Counters {
+        ticks,
+        skipped,
+        overruns,
+        missed,
+        late,
+        stale,
+        not_finite,
+        malformed,
+        unknown_writer,
+        fenced,
+        duplicate,
+        withheld,
+        saturated,
+        setpoint_stale,
+        faults_injected,
+        held,
+        damped,
+        stopped,
+        failovers,
+        segments_dropped,
+    } = *counters;
+    [
+        ("ticks", ticks),
+        ("skipped", skipped),
+        ("overruns", overruns),
+        ("missed", missed),
+        ("late", late),
+        ("stale", stale),
+        ("not_finite", not_finite),
+        ("malformed", malformed),
+        ("unknown_writer", unknown_writer),
+        ("fenced", fenced),
+        ("duplicate", duplicate),
+        ("withheld", withheld),
+        ("saturated", saturated),
+        ("setpoint_stale", setpoint_stale),
+        ("faults_injected", faults_injected),
+        ("held", held),
+        ("damped", damped),
+        ("stopped", stopped),
+        ("failovers", failovers),
+        ("segments_dropped", segments_dropped),
+    ]
+    .into_iter()
+    .map(|(name, count)| (name.to_owned(), count))
+    .collect()
+}
+
+/// What was asked for and refused, in the order of the start-up.
+#[must_use]
+pub fn missing_privileges(privileges: &Privileges) -> Vec<MissingPrivilege> {
+    privileges
+        .refused()
+        .map(|(step, _)| MissingPrivilege {
+            step: step.name().to_owned(),
+            cost: step.cost().to_owned(),
+            remedy: step.remedy().to_owned(),
+        })
+        .collect()
+}
