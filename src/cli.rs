@@ -262,7 +262,10 @@ fn dispatch(command: Command) -> anyhow::Result<Exit> {
         Command::Completions { shell } => pages::completions(shell, &mut Cli::command()),
         Command::Man { out } => pages::manual(out.as_deref(), Cli::command()),
         Command::Plant(args) => roles::role(loopbound_plant::run, args.into_role()),
-        Command::Controller(args) => roles::role(loopbound_controller::run, args.into_role()),
+        Command::Controller(args) => {
+            let law = args.law;
+            roles::role(|role, stop| loopbound_controller::run(role, law, stop), args.into_role())
+        }
         Command::Reference(args) => roles::role(loopbound_reference::run, args.into_role()),
     }
 }

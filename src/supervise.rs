@@ -16,6 +16,7 @@ use std::sync::atomic::Ordering::SeqCst;
 
 use anyhow::Context as _;
 use indicatif::ProgressBar;
+use loopbound_shared::cast;
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::{Bell, ControlBlock};
 use loopbound_shared::event::{self, CommandKind, Phase, Refusal, ReplyKind};
@@ -201,24 +202,14 @@ impl<'a> Supervisor<'a> {
 
     /// Gives the plant its members and its clock, then watches until the end.
     fn run(&mut self) -> End {
-        let ids: Vec<u32> = self.controllers().map(|c| c.process.id).collect();
-        let first = ids.first().copied().unwrap_or(1);
-        let start = ids
-            .into_iter()
-            .map(|id| Command { kind: CommandKind::AddMember.code(), controller: id, ..Command::zeroed() })
-            .chain([Command {
-                kind: CommandKind::Start.code(),
-                controller: first,
-                tick: self.scenario.loop_.ticks(),
-                ..Command::zeroed()
-            }]);
+        let start = cast::opening_commands(self.scenario, self.scenario.loop_.ticks());
         for command in start {
             if let Err(why) = self.command(command) {
                 let message = format!("the plant did not start: {why}");
                 return End::NotStarted(Failure { exit: Exit::Internal, message });
             }
         }
-        self.active = first;
+        self.active = 1;
         self.watch()
     }
 
