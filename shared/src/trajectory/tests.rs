@@ -40,6 +40,11 @@ fn each_kind() -> Vec<(&'static str, Trajectory<3>)> {
             Trajectory::Quintic { from_rad: [0.0, 1.0, -1.0], to_rad: [1.0, 0.5, 1.0], start_s: 0.5, duration_s: 2.0 },
         ),
         ("chirp", Trajectory::Chirp { amplitude_rad, omega_from_rad_s: 1.0, omega_to_rad_s: 6.0, duration_s: 3.0 }),
+        // Through a frequency of 0, where the rate of the frequency is all of the acceleration.
+        (
+            "chirp there and back",
+            Trajectory::Chirp { amplitude_rad, omega_from_rad_s: -1.0, omega_to_rad_s: 1.0, duration_s: 1.0 },
+        ),
         ("circle", Trajectory::Circle(Circle::new(circle(0.4, true)).unwrap())),
         ("circle, other elbow", Trajectory::Circle(Circle::new(circle(0.4, false)).unwrap())),
         ("waypoints", Trajectory::Waypoints(waypoints(&path))),
