@@ -162,9 +162,10 @@ impl<const N: usize> Judge<N> {
         }
         let kind = usize::try_from(announce.law).ok().and_then(|code| LawKind::ALL.get(code.checked_sub(1)?));
         let claim = kind.map(|kind| self.claim_of(*kind, announce));
+        let room = self.claims.len() < CLAIMS_MAX;
         match self.claims.iter_mut().find(|(id, _)| *id == announce.id) {
             Some((_, known)) => *known = claim,
-            None if self.claims.len() < CLAIMS_MAX => self.claims.push((announce.id, claim)),
+            None if room => self.claims.push((announce.id, claim)),
             None => {}
         }
     }
