@@ -24,4 +24,6 @@ pub mod stability;
 #[cfg(test)]
 mod attack;
 #[cfg(test)]
+mod paper;
+#[cfg(test)]
 mod testing;

@@ -150,8 +150,7 @@ impl<const N: usize> Diagnosis<'_, N> {
         if !self.certificate.is_certified() || self.law.is_none() {
             return Verdict::NotCertified;
         }
-        // Written so that a V that is not a number is outside.
-        if !(v_start <= self.certificate.level) {
+        if v_start.is_nan() || v_start > self.certificate.level {
             return Verdict::OutsideLevel;
         }
         // A hundred times the quadrature's error at 1 kHz; below it lies the rounding of V itself.

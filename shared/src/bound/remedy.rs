@@ -242,7 +242,8 @@ impl Search<'_> {
     fn nearest(&self, axis: Quantity, failing: &Certificate) -> Option<Remedy> {
         const STEPS: usize = 80;
         let now = self.value_now(axis, failing);
-        if !now.is_finite() {
+        // Where a larger C1 alone is enough, it is the remedy of its own axis.
+        if !now.is_finite() || self.with(axis, now).is_certified() {
             return None;
         }
         let ratios: &[f64] = match axis {

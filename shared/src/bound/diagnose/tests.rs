@@ -3,6 +3,7 @@
 use super::*;
 use crate::bound::certificate::{Gains, certify};
 use crate::bound::testing::{assume, unit_chain};
+use crate::rng::{Stream, uniform};
 use crate::trajectory::Trajectory;
 use crate::truth::Disturbance;
 
@@ -68,6 +69,7 @@ fn a_sound_loop_raises_no_alarm_under_any_law() {
         (LawKind::Robust, Gains::of(LawKind::Robust)),
         (LawKind::RobustFf, Gains { level: 8.0, ..Gains::of(LawKind::RobustFf) }),
         (LawKind::RobustFf, Gains { level: 8.0, shared_v: true, ..Gains::of(LawKind::RobustFf) }),
+        (LawKind::PdG, Gains::of(LawKind::PdG)),
         (LawKind::Ctc, Gains { level: 20.0, ..Gains::of(LawKind::Ctc) }),
     ];
     for (kind, gains) in kinds {
@@ -162,6 +164,35 @@ fn pushed(norm_nm: f64) -> Loop {
     let mut pushed = Loop::default();
     pushed.truth.disturbance = Disturbance::Step { at_s: 0.5, value_nm: [-norm_nm / 3.0f64.sqrt(); 3] };
     pushed
+}
+
+#[test]
+fn a_torque_held_for_the_hold_limit_keeps_v_below_the_level() {
+    let sound = Loop::new(LawKind::Robust, &Gains::of(LawKind::Robust), 10.8);
+    let (cert, reference) = (&sound.certificate, Trajectory::<3>::of_the_paper());
+    let (mut held, mut reached) = (0, 0.0f64);
+    for case in 0..200 {
+        let draw = |first: u32| {
+            Vector::<3>::from_fn(|i, _| {
+                uniform(5, Stream::Test, case, first + u32::from(i > 0) + u32::from(i > 1)) - 0.5
+            })
+        };
+        let mut truth = sound.truth.clone();
+        truth.disturbance = Disturbance::Constant { value_nm: (draw(6).normalize() * 10.8).into() };
+        let mut state = PlantState { q: draw(0) * 0.5, v: draw(3) * 4.0 };
+        let sample = input(&state, &reference.at(0.0));
+        let (v, tau) = (cert.v(&truth.chain, &sample), sound.law.torque(&sample));
+        let hold_s = crate::bound::stability::hold_limit_s(cert, v, tau.norm());
+        for step in 0..20 {
+            let h_s = hold_s / 20.0;
+            state = crate::integrator::rk4_step(&truth, &state, &tau, f64::from(step) * h_s, h_s);
+            let v = cert.v(&truth.chain, &input(&state, &reference.at(f64::from(step + 1) * h_s)));
+            assert!(hold_s == 0.0 || v <= cert.level, "case {case}: {v}");
+            reached = reached.max(if hold_s > 0.0 { v } else { 0.0 });
+        }
+        held += i32::from(hold_s > 0.0);
+    }
+    assert!(held > 100 && reached > 0.1 * cert.level, "{held} holds reached {reached}");
 }
 
 #[test]

@@ -1,5 +1,7 @@
 //! The spectral radius of the sampled, delayed, linearised loop of any law, exactly discretised.
 
+#![expect(clippy::needless_range_loop, reason = "index notation mirrors the equations, and fixes the order of sums")]
+
 use core::f64::consts::PI;
 
 use crate::chain::{Chain, Matrix, Vector};
