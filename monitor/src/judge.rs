@@ -162,8 +162,9 @@ impl<const N: usize> Judge<N> {
         }
         let kind = usize::try_from(announce.law).ok().and_then(|code| LawKind::ALL.get(code.checked_sub(1)?));
         let claim = kind.map(|kind| self.claim_of(*kind, announce));
-        match self.claims.iter_mut().find(|(id, _)| *id == announce.id) {
-            Some((_, known)) => *known = claim,
+        let known = self.claims.iter().position(|(id, _)| *id == announce.id);
+        match known {
+            Some(at) => self.claims[at].1 = claim,
             None if self.claims.len() < CLAIMS_MAX => self.claims.push((announce.id, claim)),
             None => {}
         }
@@ -307,7 +308,7 @@ impl<const N: usize> Judge<N> {
         figures.v_start = figures.v_start.or(finite(v));
         figures.v_max = largest(figures.v_max, v);
         figures.v_final = finite(v);
-        let outside = !(v <= level);
+        let outside = v.is_nan() || v > level;
         if outside != figures.outside {
             figures.outside = outside;
             events.push(record.tick, record.start_plant_ns, EventKind::Level { v, level, inside: !outside });
@@ -332,7 +333,7 @@ impl<const N: usize> Judge<N> {
         figures.slack_min = Some(figures.slack_min.map_or(slack, |least| least.min(slack)));
         figures.slack_sum += slack;
         // The tolerance of the diagnosis; a V that is not a number breaks every promise.
-        if !(slack >= -1e-6 * (1.0 + before.v)) {
+        if slack.is_nan() || slack < -1e-6 * (1.0 + before.v) {
             figures.promise += 1;
             let kind = EventKind::Promise { v, v_bound: before.v_bound };
             events.push(record.tick, record.start_plant_ns, kind);

@@ -375,3 +375,6 @@ fn row(record: &TickRecord, receipt: Option<&Receipt>, judged: Judged) -> Row {
         active: record.active,
     }
 }
+
+#[cfg(test)]
+mod tests;
