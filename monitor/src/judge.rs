@@ -24,6 +24,8 @@ use crate::tracker::segments;
 
 /// Samples that are remembered: a torque that is older than this answers an unknown one.
 const SAMPLES: usize = 1024;
+/// A tick that claims to be longer is not integrated: that could take for ever.
+const SPAN_MAX_NS: u64 = 60_000_000_000;
 /// Controllers whose law is remembered.
 const CLAIMS_MAX: usize = 64;
 
@@ -255,7 +257,9 @@ impl<const N: usize> Judge<N> {
 
     fn diagnose(&self, record: &TickRecord, claim: &Claim<N>, x: &LawInput<N>) -> Option<IntervalDiagnosis<N>> {
         let used = segments(record);
-        let unfit = record.flags & record_flag::AT_REST != 0
+        let span_ns = record.end_plant_ns.checked_sub(record.start_plant_ns);
+        let unfit = !span_ns.is_some_and(|span_ns| span_ns <= SPAN_MAX_NS)
+            || record.flags & record_flag::AT_REST != 0
             || record.decision == Decision::Blend.code()
             || !claim.certificate.is_certified()
             || used.is_empty()
