@@ -122,6 +122,9 @@ pub struct ChildArgs {
     /// The launcher: the child ends when it does.
     #[arg(long)]
     pub parent: Option<u32>,
+    /// The law of a controller; default the scenario's.
+    #[arg(long)]
+    pub law: Option<LawKind>,
 }
 
 impl ChildArgs {

@@ -97,7 +97,7 @@ fn report(args: &RunArgs, out: Option<&Path>, outcome: Outcome) -> anyhow::Resul
         Some(summary) if args.json => writeln!(stdout, "{}", serde_json::to_string_pretty(summary)?)?,
         Some(summary) if !args.quiet => {
             let colour = std::io::stdout().is_terminal();
-            write!(stdout, "{}", loopbound_monitor::render(summary, loopbound_monitor::WIDTH, colour))?;
+            write!(stdout, "{}", loopbound_monitor::render(summary, 100, colour))?;
         }
         // Whoever waits for a document gets one, even if the monitor could not write its part.
         None if args.json => {

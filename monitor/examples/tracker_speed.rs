@@ -51,8 +51,13 @@ fn records(scenario: &Scenario) -> Result<Vec<TickRecord>, Box<dyn std::error::E
             used_a_d: to_links(&x.a_d),
             ..TickRecord::zeroed()
         };
-        record.segments[0] =
-            Segment { from_plant_ns: from_ns, answered_tick: tick, writer: 1, tau: to_links(&tau), ..Segment::zeroed() };
+        record.segments[0] = Segment {
+            from_plant_ns: from_ns,
+            answered_tick: tick,
+            writer: 1,
+            tau: to_links(&tau),
+            ..Segment::zeroed()
+        };
         record.receipts[0] = Receipt {
             arrived_ns: from_ns + 9_000,
             state_received_ns: from_ns + 4_000,
@@ -89,7 +94,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             }
             let each_ns = (now_ns() - from_ns) as f64 / TICKS as f64;
             let checked = tracker.summarise().bound.checked;
-            println!("{name}, round {round}: {each_ns:.0} ns a record, {:.0} records/s, {checked} checked", 1e9 / each_ns);
+            println!(
+                "{name}, round {round}: {each_ns:.0} ns a record, {:.0} records/s, {checked} checked",
+                1e9 / each_ns
+            );
         }
     }
     Ok(())
