@@ -164,17 +164,10 @@ impl<const N: usize> Judge<N> {
         }
         let kind = usize::try_from(announce.law).ok().and_then(|code| LawKind::ALL.get(code.checked_sub(1)?));
         let claim = kind.map(|kind| self.claim_of(*kind, announce));
-<<<<<<< HEAD
         let known = self.claims.iter().position(|(id, _)| *id == announce.id);
         match known {
             Some(at) => self.claims[at].1 = claim,
             None if self.claims.len() < CLAIMS_MAX => self.claims.push((announce.id, claim)),
-=======
-        let room = self.claims.len() < CLAIMS_MAX;
-        match self.claims.iter_mut().find(|(id, _)| *id == announce.id) {
-            Some((_, known)) => *known = claim,
-            None if room => self.claims.push((announce.id, claim)),
->>>>>>> main
             None => {}
         }
     }
