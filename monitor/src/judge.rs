@@ -258,7 +258,7 @@ impl<const N: usize> Judge<N> {
     fn diagnose(&self, record: &TickRecord, claim: &Claim<N>, x: &LawInput<N>) -> Option<IntervalDiagnosis<N>> {
         let used = segments(record);
         let span_ns = record.end_plant_ns.checked_sub(record.start_plant_ns);
-        let unfit = !span_ns.is_some_and(|span_ns| span_ns <= SPAN_MAX_NS)
+        let unfit = span_ns.is_none_or(|span_ns| span_ns > SPAN_MAX_NS)
             || record.flags & record_flag::AT_REST != 0
             || record.decision == Decision::Blend.code()
             || !claim.certificate.is_certified()

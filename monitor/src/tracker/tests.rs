@@ -16,8 +16,10 @@ fn feed_all(tracker: &mut Tracker<3>, records: impl IntoIterator<Item = TickReco
     tracker.finish();
 }
 
+type ByCause = Vec<(String, u64)>;
+
 /// Causes that were found, late and missed, by name, zeros left out.
-fn found(records: impl IntoIterator<Item = TickRecord>) -> (Vec<(String, u64)>, Vec<(String, u64)>) {
+fn found(records: impl IntoIterator<Item = TickRecord>) -> (ByCause, ByCause) {
     let mut tracker = tracker();
     feed_all(&mut tracker, records);
     let summary = tracker.summarise();
@@ -25,7 +27,7 @@ fn found(records: impl IntoIterator<Item = TickRecord>) -> (Vec<(String, u64)>, 
     (some(summary.late_ticks_by_cause), some(summary.missed_ticks_by_cause))
 }
 
-fn one(name: &str, count: u64) -> Vec<(String, u64)> {
+fn one(name: &str, count: u64) -> ByCause {
     vec![(name.to_owned(), count)]
 }
 
