@@ -197,7 +197,8 @@ pub struct CauseCounts([u64; Cause::ALL.len()]);
 impl CauseCounts {
     /// Counts `many` ticks.
     pub fn add(&mut self, cause: Cause, many: u64) {
-        self.0[cause as usize] += many;
+        let count = &mut self.0[cause as usize];
+        *count = count.saturating_add(many);
     }
 
     /// Of one cause.
@@ -209,7 +210,7 @@ impl CauseCounts {
     /// Of all causes.
     #[must_use]
     pub fn total(&self) -> u64 {
-        self.0.iter().sum()
+        self.0.iter().fold(0, |total: u64, count| total.saturating_add(*count))
     }
 
     /// By name, zeros too: an expectation may ask for any of them.

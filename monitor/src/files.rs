@@ -26,6 +26,10 @@ const QUEUE: usize = 16_384;
 /// Interval logs give the largest value in milliseconds.
 const NS_PER_MS: f64 = 1e6;
 
+#[expect(
+    clippy::large_enum_variant,
+    reason = "nearly all entries are rows, and a box for each would cost an allocation a tick"
+)]
 enum Entry {
     Row(Row),
     Event(Event),
@@ -200,9 +204,15 @@ fn csv_line(line: &mut String, row: &Row, links: usize) {
         }
     }
     for value in [row.lyapunov, row.lyapunov_bound] {
-        let _ = value.map_or(write!(line, ","), |value| write!(line, ",{value:?}"));
+        line.push(',');
+        if let Some(value) = value {
+            let _ = write!(line, "{value:?}");
+        }
     }
-    let _ = row.round_trip_ns.map_or(write!(line, ","), |value| write!(line, ",{value}"));
+    line.push(',');
+    if let Some(value_ns) = row.round_trip_ns {
+        let _ = write!(line, "{value_ns}");
+    }
     let _ = writeln!(line, ",{}", row.active);
 }
 
@@ -223,4 +233,113 @@ pub fn percentiles(histogram: &Histogram<u64>) -> String {
     let _ = writeln!(text, "#[Max     = {max_us:>12.3}, Total count    = {count:>12}]");
     let _ = writeln!(text, "#[Buckets = {:>12}, SubBuckets     = {:>12}]", histogram.buckets(), 2048);
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::summary::SCHEMA;
+    use crate::testing::good;
+    use crate::tracker::Tracker;
+    use hdrhistogram::serialization::Deserializer;
+    use hdrhistogram::serialization::interval_log::{IntervalLogIterator, LogEntry};
+
+    /// A run of 3000 ticks with an interval every 1000, and an event each.
+    fn record_into(folder: &Path) -> Summary {
+        let mut tracker: Tracker<3> = crate::testing::tracker();
+        let mut recorder = Recorder::start(folder, 3, 1_700_000_000_250_000_000, true).unwrap();
+        for tick in 0..3000 {
+            let mut record = good(tick);
+            record.q[2] = 0.125;
+            if tick == 7 {
+                record.receipts[0].arrived_ns = 0;
+                record.receipts[0].acceptance = 0;
+            }
+            recorder.row(tracker.feed(&record).unwrap());
+            tracker.drain_events().for_each(|event| recorder.event(event));
+            if tick % 1000 == 999 {
+                recorder.interval((tick - 999) * 1_000_000, 1_000_000_000, tracker.interval());
+                tracker.start_interval();
+            }
+        }
+        tracker.finish();
+        let mut summary = tracker.summarise();
+        summary.dropped = recorder.finish().unwrap();
+        recorder.write_end(&summary, tracker.hops(), "[loop]\n").unwrap();
+        summary
+    }
+
+    fn temporary(what: &str) -> PathBuf {
+        std::env::temp_dir().join(format!("loopbound-{what}-{}", std::process::id()))
+    }
+
+    #[test]
+    fn the_interval_log_reads_back_with_every_tick_of_every_hop() {
+        let folder = temporary("hlog");
+        record_into(&folder);
+        let log = fs::read(folder.join("latency.hlog")).unwrap();
+        let (mut count, mut rounds) = (0, 0);
+        for entry in IntervalLogIterator::new(&log) {
+            let LogEntry::Interval(interval) = entry.unwrap() else { continue };
+            count += 1;
+            if interval.tag().map(|tag| tag.as_str()) == Some("round_trip") {
+                let bytes = decode_base64(interval.encoded_histogram());
+                let histogram: Histogram<u64> = Deserializer::new().deserialize(&mut bytes.as_slice()).unwrap();
+                assert_eq!(interval.duration(), Duration::from_secs(1));
+                rounds += histogram.len();
+            }
+        }
+        assert_eq!((count, rounds), (3 * Hop::ALL.len(), 2999));
+        fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn the_table_has_one_line_a_tick_and_an_empty_round_trip_where_none_was_accepted() {
+        let folder = temporary("csv");
+        let summary = record_into(&folder);
+        let text = fs::read_to_string(folder.join("samples.csv")).unwrap();
+        let lines: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
+        assert_eq!(lines.len(), 3001);
+        assert_eq!(lines[0][..5], ["tick", "t_s", "q1", "q2", "q3"]);
+        assert_eq!(lines[0][lines[0].len() - 4..], ["V", "V_bound", "round_trip_ns", "active"]);
+        assert!(lines.iter().all(|line| line.len() == 2 + 6 * 3 + 4));
+        assert_eq!((lines[8][0], lines[8][4], lines[8][22], lines[9][22]), ("7", "0.125", "", "8000"));
+        let back: Summary = serde_json::from_slice(&fs::read(folder.join("summary.json")).unwrap()).unwrap();
+        assert_eq!((&back, back.schema), (&summary, SCHEMA));
+        let events = fs::read_to_string(folder.join("events.jsonl")).unwrap();
+        assert!(events.starts_with("{\"kind\":\"first seen\""), "{events}");
+        assert_eq!(fs::read_to_string(folder.join("scenario.toml")).unwrap(), "[loop]\n");
+        fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn a_percentile_file_ends_at_one_with_the_count_and_the_largest_value() {
+        let mut histogram = Histogram::<u64>::new_with_bounds(1, 10_000_000_000, 3).unwrap();
+        (1..=1000u64).for_each(|value| histogram.record(value * 1000).unwrap());
+        let text = percentiles(&histogram);
+        let last = text.lines().rfind(|line| !line.starts_with('#')).unwrap();
+        let cells: Vec<&str> = last.split_whitespace().collect();
+        assert_eq!((cells[1].parse::<f64>().unwrap().to_bits(), cells[2]), (1f64.to_bits(), "1000"));
+        assert!((cells[0].parse::<f64>().unwrap() / 1000.0 - 1.0).abs() < 1e-3);
+        assert!(text.contains("Total count    =         1000]"));
+    }
+
+    #[test]
+    fn a_folder_that_can_not_be_made_is_an_error_with_nothing_started() {
+        assert!(Recorder::start(Path::new("/proc/none"), 3, 0, false).is_err());
+    }
+
+    fn decode_base64(text: &str) -> Vec<u8> {
+        const ALPHABET: &[u8] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+        let digits: Vec<u32> = text
+            .bytes()
+            .filter(|byte| *byte != b'=')
+            .map(|byte| u32::try_from(ALPHABET.iter().position(|digit| *digit == byte).unwrap()).unwrap())
+            .collect();
+        let whole = digits.chunks(4).flat_map(|four| {
+            let bits = four.iter().fold(0, |bits, digit| bits << 6 | digit) << (6 * (4 - four.len()));
+            bits.to_be_bytes()[1..four.len()].to_vec()
+        });
+        whole.collect()
+    }
 }

@@ -11,7 +11,7 @@ fn line(path: &str) -> Option<String> {
 
 /// The machine: kernel, processor, governor, load, by stable keys.
 #[must_use]
-pub fn describe() -> BTreeMap<String, Value> {
+pub(crate) fn describe() -> BTreeMap<String, Value> {
     let cpuinfo = line("/proc/cpuinfo").unwrap_or_default();
     let field = |name: &str| {
         let found = cpuinfo.lines().find(|line| line.starts_with(name))?;

@@ -24,6 +24,8 @@ use crate::tracker::segments;
 
 /// Samples that are remembered: a torque that is older than this answers an unknown one.
 const SAMPLES: usize = 1024;
+/// A tick that claims to be longer is not integrated: that could take for ever.
+const SPAN_MAX_NS: u64 = 60_000_000_000;
 /// Controllers whose law is remembered.
 const CLAIMS_MAX: usize = 64;
 
@@ -162,10 +164,10 @@ impl<const N: usize> Judge<N> {
         }
         let kind = usize::try_from(announce.law).ok().and_then(|code| LawKind::ALL.get(code.checked_sub(1)?));
         let claim = kind.map(|kind| self.claim_of(*kind, announce));
-        let room = self.claims.len() < CLAIMS_MAX;
-        match self.claims.iter_mut().find(|(id, _)| *id == announce.id) {
-            Some((_, known)) => *known = claim,
-            None if room => self.claims.push((announce.id, claim)),
+        let known = self.claims.iter().position(|(id, _)| *id == announce.id);
+        match known {
+            Some(at) => self.claims[at].1 = claim,
+            None if self.claims.len() < CLAIMS_MAX => self.claims.push((announce.id, claim)),
             None => {}
         }
     }
@@ -255,7 +257,9 @@ impl<const N: usize> Judge<N> {
 
     fn diagnose(&self, record: &TickRecord, claim: &Claim<N>, x: &LawInput<N>) -> Option<IntervalDiagnosis<N>> {
         let used = segments(record);
-        let unfit = record.flags & record_flag::AT_REST != 0
+        let span_ns = record.end_plant_ns.checked_sub(record.start_plant_ns);
+        let unfit = span_ns.is_none_or(|span_ns| span_ns > SPAN_MAX_NS)
+            || record.flags & record_flag::AT_REST != 0
             || record.decision == Decision::Blend.code()
             || !claim.certificate.is_certified()
             || used.is_empty()
@@ -308,7 +312,7 @@ impl<const N: usize> Judge<N> {
         figures.v_start = figures.v_start.or(finite(v));
         figures.v_max = largest(figures.v_max, v);
         figures.v_final = finite(v);
-        let outside = !(v <= level);
+        let outside = v.is_nan() || v > level;
         if outside != figures.outside {
             figures.outside = outside;
             events.push(record.tick, record.start_plant_ns, EventKind::Level { v, level, inside: !outside });
@@ -333,7 +337,7 @@ impl<const N: usize> Judge<N> {
         figures.slack_min = Some(figures.slack_min.map_or(slack, |least| least.min(slack)));
         figures.slack_sum += slack;
         // The tolerance of the diagnosis; a V that is not a number breaks every promise.
-        if !(slack >= -1e-6 * (1.0 + before.v)) {
+        if slack.is_nan() || slack < -1e-6 * (1.0 + before.v) {
             figures.promise += 1;
             let kind = EventKind::Promise { v, v_bound: before.v_bound };
             events.push(record.tick, record.start_plant_ns, kind);

@@ -77,11 +77,11 @@ impl Causes {
         if !at_rest {
             let clues = self.plant_clues(config, record);
             if record.skipped_before > 0 {
-                missed += record.skipped_before;
+                missed = record.skipped_before;
                 self.open_skipped(config, record, clues, events);
             }
             let is_missed = is_missed(record);
-            missed += u64::from(is_missed);
+            missed = missed.saturating_add(u64::from(is_missed));
             let deadline_to_torque_ns =
                 accepted(record).map_or(0, |receipt| receipt.arrived_ns.saturating_sub(record.deadline_ns));
             let late = settled && deadline_to_torque_ns > config.late_ns;
@@ -115,7 +115,7 @@ impl Causes {
                 || answered.is_some_and(|receipt| receipt.flags & torque_flag::FAULT_INJECTED != 0),
             joined: joined(record).or(self.joined_before),
             silence_ns: 0,
-            two_ticks_ns: 2 * config.period_ns,
+            two_ticks_ns: config.period_ns.saturating_mul(2),
             removed: false,
             setpoint_stale: record.flags & record_flag::SETPOINT_STALE != 0
                 || answered.is_some_and(|receipt| receipt.flags & torque_flag::SETPOINT_STALE != 0),
@@ -200,7 +200,7 @@ impl Causes {
                 (Some(answer), Some(before)) => evidence_of(answer).since(&before.evidence),
                 _ => Evidence::default(),
             };
-            let from_tick = case.answered_before.map_or(case.tick, |before| before.tick + 1);
+            let from_tick = case.answered_before.map_or(case.tick, |before| before.tick.saturating_add(1));
             clues.silence_ns = now_tick.saturating_sub(from_tick).saturating_mul(config.period_ns);
         }
         let why = attribute(&clues);

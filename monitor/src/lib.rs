@@ -27,6 +27,8 @@ pub mod render;
 mod run;
 pub mod summary;
 pub mod swaps;
+#[cfg(test)]
+mod testing;
 pub mod tracker;
 pub mod verdict;
 

@@ -11,7 +11,7 @@ const MEMBERS_MAX: usize = 64;
 
 /// The processes of a group as they announced themselves, each by its last word.
 #[derive(Default)]
-pub struct Members {
+pub(crate) struct Members {
     list: Vec<Member>,
 }
 
@@ -23,7 +23,7 @@ struct Member {
 
 impl Members {
     /// Takes an announcement; the later of two of one process counts.
-    pub fn learn(&mut self, announce: &Announce) {
+    pub(crate) fn learn(&mut self, announce: &Announce) {
         let same = |member: &&mut Member| {
             (member.announce.pid, member.announce.role, member.announce.id)
                 == (announce.pid, announce.role, announce.id)
@@ -39,7 +39,7 @@ impl Members {
 
     /// Whether any process of a role lives; none if none ever announced itself.
     #[must_use]
-    pub fn is_alive(&self, role: Role) -> Option<bool> {
+    pub(crate) fn is_alive(&self, role: Role) -> Option<bool> {
         let mut of_role = self.list.iter().filter(|member| member.announce.role == role.code()).peekable();
         of_role.peek()?;
         Some(of_role.any(Member::is_alive))
@@ -47,7 +47,7 @@ impl Members {
 
     /// One entry a process, by role and id.
     #[must_use]
-    pub fn summaries(&self) -> Vec<ProcessSummary> {
+    pub(crate) fn summaries(&self) -> Vec<ProcessSummary> {
         let mut all: Vec<_> = self.list.iter().map(|member| summary(&member.announce)).collect();
         all.sort_by(|a, b| (&a.role, a.id, a.pid).cmp(&(&b.role, b.id, b.pid)));
         all

@@ -31,9 +31,10 @@ impl Swaps {
             self.note(record, happening, v);
         }
         let watched_ticks = WATCHED_NS / period_ns.max(1);
-        for swap in self.list.iter_mut().rev().take_while(|swap| record.tick <= swap.tick + watched_ticks) {
+        for swap in self.list.iter_mut().rev().take_while(|swap| record.tick.saturating_sub(swap.tick) <= watched_ticks)
+        {
             if swap.result != "refused" {
-                swap.missed_ticks += missed;
+                swap.missed_ticks = swap.missed_ticks.saturating_add(missed);
             }
         }
     }
@@ -48,7 +49,8 @@ impl Swaps {
                 let (last, this) = (self.last_failover, (record.tick, from, happening.subject));
                 self.last_failover = Some(this);
                 // Until authority has moved, the standby steps in at every tick: that is one failover.
-                let goes_on = last.is_some_and(|(tick, a, b)| tick + 1 >= record.tick && (a, b) == (this.1, this.2));
+                let goes_on = last
+                    .is_some_and(|(tick, a, b)| record.tick.saturating_sub(tick) <= 1 && (a, b) == (this.1, this.2));
                 if !goes_on {
                     self.push(record, "failover", from, happening.subject, step(record), v);
                 }

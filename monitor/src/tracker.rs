@@ -195,7 +195,7 @@ impl<const N: usize> Tracker<N> {
             Some(last) => {
                 let ticks = (record.tick - last - 1).saturating_sub(record.skipped_before);
                 if ticks > 0 {
-                    seen.gaps += ticks;
+                    seen.gaps = seen.gaps.saturating_add(ticks);
                     self.jitter.skip();
                     self.events.push(record.tick, record.start_plant_ns, EventKind::Gap { ticks });
                 }
@@ -375,3 +375,6 @@ fn row(record: &TickRecord, receipt: Option<&Receipt>, judged: Judged) -> Row {
         active: record.active,
     }
 }
+
+#[cfg(test)]
+mod tests;
