@@ -42,6 +42,7 @@ pub fn monitor(args: cli::MonitorArgs) -> anyhow::Result<Exit> {
         group: args.group,
         id: args.id,
         scenario: args.scenario,
+        parent: args.parent,
         out: args.out,
         json: args.json,
         managed: args.managed,

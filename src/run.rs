@@ -15,6 +15,9 @@ use crate::exit::{Exit, Failure};
 use crate::signals::Stop;
 use crate::supervise::{self, Options, Outcome, Record};
 
+/// Width of the report.
+const SCREEN_COLUMNS: usize = 100;
+
 /// `loopbound run`.
 #[derive(Debug, Default, Args)]
 pub struct RunArgs {
@@ -97,7 +100,7 @@ fn report(args: &RunArgs, out: Option<&Path>, outcome: Outcome) -> anyhow::Resul
         Some(summary) if args.json => writeln!(stdout, "{}", serde_json::to_string_pretty(summary)?)?,
         Some(summary) if !args.quiet => {
             let colour = std::io::stdout().is_terminal();
-            write!(stdout, "{}", loopbound_monitor::render(summary, 100, colour))?;
+            write!(stdout, "{}", loopbound_monitor::render(summary, SCREEN_COLUMNS, colour))?;
         }
         // Whoever waits for a document gets one, even if the monitor could not write its part.
         None if args.json => {
