@@ -5,7 +5,7 @@ use std::io::Write as _;
 use clap::Args;
 use loopbound_shared::bound::certificate::{Certificate, Certification};
 use loopbound_shared::scenario::Scenario;
-use loopbound_shared::system::{self, SystemError};
+use loopbound_shared::system;
 use loopbound_shared::with_links;
 use serde_json::{Value, json};
 
@@ -40,7 +40,7 @@ pub fn run(args: &BoundArgs) -> anyhow::Result<Exit> {
     Ok(if certification.certificate.is_certified() { Exit::Held } else { Exit::Failed })
 }
 
-fn certify<const N: usize>(scenario: &Scenario) -> Result<Certification, SystemError> {
+fn certify<const N: usize>(scenario: &Scenario) -> Result<Certification, loopbound_shared::scenario::ScenarioError> {
     system::certification::<N>(scenario, scenario.controller.law)
 }
 

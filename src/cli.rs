@@ -122,6 +122,9 @@ pub struct ChildArgs {
     /// The launcher: the child ends when it does.
     #[arg(long)]
     pub parent: Option<u32>,
+    /// The law of a controller; default the scenario's.
+    #[arg(long)]
+    pub law: Option<LawKind>,
 }
 
 impl ChildArgs {
@@ -243,11 +246,23 @@ pub fn main() -> ExitCode {
     match dispatch(cli.command) {
         Ok(exit) => exit.into(),
         Err(error) => {
-            // One line: the outermost says what was tried, the rest why it failed.
-            let _ = writeln!(std::io::stderr(), "loopbound: {error:#}");
+            let _ = writeln!(std::io::stderr(), "loopbound: {}", one_line(&error));
             Exit::of(&error).into()
         }
     }
+}
+
+/// What was tried, then why it failed, without saying anything twice: some errors quote their cause themselves.
+fn one_line(error: &anyhow::Error) -> String {
+    let mut line = String::new();
+    for part in error.chain().map(ToString::to_string) {
+        if line.is_empty() {
+            line = part;
+        } else if !line.contains(&part) {
+            line = format!("{line}: {part}");
+        }
+    }
+    line
 }
 
 fn dispatch(command: Command) -> anyhow::Result<Exit> {
@@ -262,7 +277,10 @@ fn dispatch(command: Command) -> anyhow::Result<Exit> {
         Command::Completions { shell } => pages::completions(shell, &mut Cli::command()),
         Command::Man { out } => pages::manual(out.as_deref(), Cli::command()),
         Command::Plant(args) => roles::role(loopbound_plant::run, args.into_role()),
-        Command::Controller(args) => roles::role(loopbound_controller::run, args.into_role()),
+        Command::Controller(args) => {
+            let law = args.law;
+            roles::role(|role, stop| loopbound_controller::run(role, law, stop), args.into_role())
+        }
         Command::Reference(args) => roles::role(loopbound_reference::run, args.into_role()),
     }
 }
@@ -310,6 +328,12 @@ mod tests {
             assert_eq!(error.exit_code(), 2, "{line}");
             assert!(error.to_string().contains(named), "{line}: {error}");
         }
+    }
+
+    #[test]
+    fn an_error_line_says_no_cause_twice() {
+        let quoted = anyhow::anyhow!("no such file").context("x.toml: no such file").context("reading");
+        assert_eq!(one_line(&quoted), "reading: x.toml: no such file");
     }
 
     #[test]

@@ -8,6 +8,7 @@ pub mod clean;
 pub mod cli;
 pub mod doctor;
 pub mod exit;
+pub mod inprocess;
 pub mod model;
 pub mod pages;
 pub mod processes;

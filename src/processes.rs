@@ -4,6 +4,8 @@ use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
+use loopbound_shared::cast;
+use loopbound_shared::law::LawKind;
 use loopbound_shared::scenario::{Restart, Role, Scenario};
 
 /// One process of a group.
@@ -13,6 +15,8 @@ pub struct Process {
     pub role: Role,
     /// Its id within the role; controllers count from 1, and the first is in charge at the start.
     pub id: u32,
+    /// The law of a controller of ours.
+    pub law: Option<LawKind>,
     /// The executable; `None` is this one.
     pub exe: Option<PathBuf>,
     /// The scenario it reads.
@@ -31,14 +35,18 @@ pub fn table(scenario: &Scenario, file: &std::path::Path, out: Option<&std::path
     let one = |role: Role, id: u32| Process {
         role,
         id,
-        exe: (role == Role::Controller).then(|| scenario.controller.exe.clone()).flatten(),
+        law: None,
+        exe: None,
         scenario: file.to_owned(),
         policy: scenario.supervisor.policy(role),
         out: (role == Role::Monitor).then(|| out.map(PathBuf::from)).flatten(),
     };
-    let controllers = (1..=1 + scenario.controller.standby).map(|id| one(Role::Controller, id));
     let mut table = vec![one(Role::Monitor, 1), one(Role::Reference, 1)];
-    table.extend(controllers);
+    table.extend(cast::controllers(scenario).into_iter().map(|part| Process {
+        law: part.exe.is_none().then_some(part.law),
+        exe: part.exe,
+        ..one(Role::Controller, part.id)
+    }));
     table.push(one(Role::Plant, 1));
     table
 }
@@ -68,6 +76,9 @@ impl Process {
         add("--id", self.id.to_string().into());
         add("--scenario", self.scenario.clone().into());
         add("--parent", parent_pid.to_string().into());
+        if let Some(law) = self.law {
+            add("--law", law.name().into());
+        }
         if let Some(out) = &self.out {
             add("--out", out.clone().into());
         }

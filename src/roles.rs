@@ -46,6 +46,7 @@ pub fn monitor(args: cli::MonitorArgs) -> anyhow::Result<Exit> {
         json: args.json,
         managed: args.managed,
         duration_ns: args.duration,
+        parent: None,
     };
     loopbound_monitor::run(&args, stop)?;
     Ok(Exit::Held)

@@ -97,7 +97,7 @@ fn report(args: &RunArgs, out: Option<&Path>, outcome: Outcome) -> anyhow::Resul
         Some(summary) if args.json => writeln!(stdout, "{}", serde_json::to_string_pretty(summary)?)?,
         Some(summary) if !args.quiet => {
             let colour = std::io::stdout().is_terminal();
-            write!(stdout, "{}", loopbound_monitor::render(summary, loopbound_monitor::WIDTH, colour))?;
+            write!(stdout, "{}", loopbound_monitor::render(summary, 100, colour))?;
         }
         // Whoever waits for a document gets one, even if the monitor could not write its part.
         None if args.json => {
@@ -120,15 +120,15 @@ fn complete(mut value: Value, record: &Record) -> anyhow::Result<Summary> {
     serde_json::from_value(value).context("the monitor's summary")
 }
 
-/// What the report does not show: deaths, and what the processes said.
+/// What the report does not show: losses, and what the processes said.
 fn notes(record: &Record, has_summary: bool) -> Vec<String> {
     let mut notes = Vec::new();
     if record.end != "done" {
         notes.push(format!("the group ended early: {}", record.end));
     }
-    for death in &record.deaths {
-        let recovered = if death.recovered { "recovered" } else { "not recovered" };
-        notes.push(format!("{} {} in tick {}: {}, {recovered}", death.role, death.id, death.tick, death.how));
+    // Those that were recovered were noted when it happened.
+    for death in record.deaths.iter().filter(|d| !d.recovered) {
+        notes.push(format!("{} {}: {} in tick {}, not recovered", death.role, death.id, death.how, death.tick));
     }
     for process in &record.processes {
         notes.extend(process.said.iter().map(|line| format!("{} {}: {line}", process.role, process.id)));
@@ -185,6 +185,6 @@ mod tests {
     #[test]
     fn an_unrecovered_death_is_named_with_its_tick() {
         let notes = notes(&died(false), false);
-        assert!(notes[0].contains("controller 1 in tick 5: killed (SIGKILL), not recovered"), "{notes:?}");
+        assert!(notes[0].contains("controller 1: killed (SIGKILL) in tick 5, not recovered"), "{notes:?}");
     }
 }

@@ -16,6 +16,7 @@ use std::sync::atomic::Ordering::SeqCst;
 
 use anyhow::Context as _;
 use indicatif::ProgressBar;
+use loopbound_shared::cast;
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::{Bell, ControlBlock};
 use loopbound_shared::event::{self, CommandKind, Phase, Refusal, ReplyKind};
@@ -102,6 +103,8 @@ struct Supervisor<'a> {
     /// Lockstep: who has answered which tick, to know whom the plant waits for.
     torques: Option<Subscriber<Torque>>,
     answered: Vec<(u32, u64)>,
+    /// The tick for whose standing still the reference was held to be the cause.
+    suspected_in: Option<u64>,
     due: VecDeque<Due>,
     deaths: Vec<Death>,
     roster: RosterFile,
@@ -149,6 +152,7 @@ impl<'a> Supervisor<'a> {
             states: node.subscriber(1)?,
             torques: lockstep.then(|| node.subscriber(1)).transpose()?,
             answered: Vec::new(),
+            suspected_in: None,
             due: VecDeque::new(),
             deaths: Vec::new(),
             roster: RosterFile::new(&group),
@@ -201,24 +205,14 @@ impl<'a> Supervisor<'a> {
 
     /// Gives the plant its members and its clock, then watches until the end.
     fn run(&mut self) -> End {
-        let ids: Vec<u32> = self.controllers().map(|c| c.process.id).collect();
-        let first = ids.first().copied().unwrap_or(1);
-        let start = ids
-            .into_iter()
-            .map(|id| Command { kind: CommandKind::AddMember.code(), controller: id, ..Command::zeroed() })
-            .chain([Command {
-                kind: CommandKind::Start.code(),
-                controller: first,
-                tick: self.scenario.loop_.ticks(),
-                ..Command::zeroed()
-            }]);
+        let start = cast::opening_commands(self.scenario, self.scenario.loop_.ticks());
         for command in start {
             if let Err(why) = self.command(command) {
                 let message = format!("the plant did not start: {why}");
                 return End::NotStarted(Failure { exit: Exit::Internal, message });
             }
         }
-        self.active = first;
+        self.active = 1;
         self.watch()
     }
 
@@ -290,6 +284,9 @@ impl<'a> Supervisor<'a> {
             || self
                 .command(Command { kind: CommandKind::AddMember.code(), controller: id, ..Command::zeroed() })
                 .is_ok();
+        if admitted {
+            self.note(&format!("{role} {id} is back"));
+        }
         for death in self.deaths.iter_mut().filter(|d| d.role == role.name() && d.id == id) {
             death.recovered |= admitted;
         }
@@ -393,23 +390,40 @@ impl<'a> Supervisor<'a> {
     /// The plant's tick has stood for two seconds: kills whom it waits for, by evidence first, else by elimination.
     fn kill_who_is_silent(&mut self) {
         let tick = self.tick();
-        let unanswered = |c: &&Child| {
-            let last = self.answered.iter().find(|(id, _)| *id == c.process.id).map(|(_, tick)| *tick);
-            c.process.role == Role::Controller && c.ready() && last.is_none_or(|last| last < tick)
-        };
-        let starved = self.block.pace().credit.load(SeqCst) <= tick;
-        let living = |role: Role| self.children.iter().find(move |c| c.process.role == role && c.lives());
-        let silent = if self.lockstep() {
-            let controller = self.children.iter().find(unanswered);
-            controller.or(living(Role::Monitor).filter(|_| starved)).or(living(Role::Reference)).or(living(Role::Plant))
-        } else {
-            // In realtime the plant waits for nobody.
-            living(Role::Plant)
-        };
-        if let Some(child) = silent {
-            child.kill();
-            self.note(&format!("{} is silent in tick {tick}: killed", child.process.name()));
+        let mut silent = self.silent_in(tick);
+        if silent.is_empty() {
+            // A reference that was killed for this very tick was not the cause.
+            let role = if self.suspected_in == Some(tick) { Role::Plant } else { Role::Reference };
+            self.suspected_in = Some(tick);
+            silent = self.living(role);
         }
+        for index in silent {
+            self.children[index].kill();
+            self.note(&format!("{} is silent in tick {tick}: killed", self.children[index].process.name()));
+        }
+    }
+
+    /// Those of whom it is known that they don't do their part in `tick`.
+    fn silent_in(&self, tick: u64) -> Vec<usize> {
+        // In realtime the plant waits for nobody; in lockstep it answers commands while it waits.
+        let status = Command { kind: CommandKind::SwapStatus.code(), ..Command::zeroed() };
+        if !self.lockstep() || self.commands.ask(status, ANSWER_NS).is_err() {
+            return self.living(Role::Plant);
+        }
+        let mut silent = self.living(Role::Controller);
+        silent.retain(|&index| {
+            let id = self.children[index].process.id;
+            !self.answered.iter().any(|(writer, last)| *writer == id && *last >= tick)
+        });
+        if silent.is_empty() && self.block.pace().credit.load(SeqCst) <= tick {
+            silent = self.living(Role::Monitor);
+        }
+        silent
+    }
+
+    fn living(&self, role: Role) -> Vec<usize> {
+        let lives = |child: &Child| child.process.role == role && child.lives();
+        self.children.iter().enumerate().filter(|(_, c)| lives(c)).map(|(index, _)| index).collect()
     }
 
     /// Asks the plant for something; an error says why it was not done.

@@ -1,7 +1,11 @@
 //! One tick of a controller without a clock: setpoint, law, injected faults. All modes drive this same code.
 
+use loopbound_shared::event::{self, Phase};
 use loopbound_shared::fault::{FaultActions, FaultPlan};
-use loopbound_shared::sample::{State, Torque, torque_flag};
+use loopbound_shared::law::LawKind;
+use loopbound_shared::realtime::Privileges;
+use loopbound_shared::role;
+use loopbound_shared::sample::{Announce, State, Torque, torque_flag};
 use loopbound_shared::scenario::{Mode, Role, Scenario};
 use loopbound_shared::setpoints::SetpointBook;
 
@@ -35,6 +39,20 @@ impl<C: Controller> ControllerCore<C> {
     /// The controller inside.
     pub fn controller(&self) -> &C {
         &self.controller
+    }
+
+    /// Says who this is, and which law it claims to be.
+    #[must_use]
+    pub fn announcement(&self, privileges: Privileges) -> Announce {
+        let name = self.controller.name();
+        let mut ready =
+            role::announce(event::Role::Controller, self.id, Phase::Ready, self.links, privileges, name);
+        if let Some(claim) = self.controller.claim() {
+            let place = LawKind::ALL.iter().position(|law| *law == claim.law).unwrap_or(0);
+            ready.law = u32::try_from(place + 1).unwrap_or(0);
+            (ready.beta, ready.k_t, ready.k_p, ready.k_d) = (claim.beta, claim.k_t, claim.k_p, claim.k_d);
+        }
+        ready
     }
 
     /// What befalls this controller in a tick, on purpose.

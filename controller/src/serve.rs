@@ -102,19 +102,7 @@ pub fn serve_until(controller: impl Controller, args: &RoleArgs, stop: &'static 
     ports.update_connections();
     ports.drain_setpoints(&mut core.setpoints, scenario.links());
     realtime_loop::warm_up(&mut core, &mut evidence, scenario.links());
-    let mut ready = role::announce(
-        Role::Controller,
-        args.id,
-        Phase::Ready,
-        scenario.links(),
-        entered.privileges(),
-        core.controller().name(),
-    );
-    if let Some(claim) = core.controller().claim() {
-        let place = LawKind::ALL.iter().position(|law| *law == claim.law).unwrap_or(0);
-        ready.law = u32::try_from(place + 1).unwrap_or(0);
-        (ready.beta, ready.k_t, ready.k_p, ready.k_d) = (claim.beta, claim.k_t, claim.k_p, claim.k_d);
-    }
+    let ready = core.announcement(entered.privileges());
     ports.announce.send(ready);
     let stopped = || stop.load(Ordering::Relaxed) || ports.joined.block.pace().plant_ended.load(Ordering::Relaxed) != 0;
     match scenario.loop_.mode {

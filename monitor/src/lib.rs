@@ -4,21 +4,33 @@
 //! |---|---|
 //! | [`tracker`] | the figures of a run, record by record: no clock, no input or output |
 //! | [`hops`], [`jitter`] | distributions of latencies and of sampling intervals |
+//! | [`judge`] | V, the promise and the diagnosis of each tick |
 //! | [`late`], [`cause`] | which ticks were late or missed, and why |
 //! | [`swaps`] | changes of the controller in charge |
 //! | [`event`] | what is noted besides figures |
-//! | [`summary`] | the keys of `summary.json` |
+//! | [`summary`], [`verdict`], [`render`] | the keys of `summary.json`, what they come to, one screen of text |
+//! | [`files`] | the files of a run, written by a thread of their own |
+//! | [`run`] | the process: attach, drain, report, leave |
 
 #![forbid(unsafe_code)]
 
 pub mod cause;
 pub mod event;
+pub mod files;
 pub mod hops;
+mod host;
 pub mod jitter;
+pub mod judge;
 pub mod late;
+mod members;
+pub mod render;
+mod run;
 pub mod summary;
 pub mod swaps;
 pub mod tracker;
+pub mod verdict;
 
+pub use render::render;
+pub use run::{Ended, MonitorArgs, Outcome, run};
 pub use summary::Summary;
 pub use tracker::{Config, Row, Tracker};

@@ -56,7 +56,6 @@ impl Members {
 
 impl Member {
     fn is_alive(&self) -> bool {
-        // What can't be watched is taken for alive as long as it has not said that it ended.
         self.handle.as_ref().is_some_and(|handle| !handle.wait_end(0).unwrap_or(false))
     }
 }

@@ -37,6 +37,8 @@ const POLL_NS: u64 = 2_000_000;
 const CARE_NS: u64 = 20_000_000;
 /// Records that were sent just before the plant ended arrive within this time.
 const DRAIN_NS: u64 = 50_000_000;
+/// Silence of a dead plant after which there is no group.
+const DEAD_SILENCE_NS: u64 = 300_000_000;
 /// Silence, without a plant that lives, after which there is no group.
 const SILENCE_NS: u64 = 10_000_000_000;
 /// Length of the intervals of `latency.hlog`.
@@ -112,10 +114,7 @@ pub fn run(args: &MonitorArgs, stop: &AtomicBool) -> Result<Outcome, RoleError> 
     let joined = join(&RoleArgs {
         group: args.group.clone(),
         id: args.id,
-        scenario: args
-            .scenario
-            .clone()
-            .unwrap_or_else(|| runtime_folder().join(&args.group).join("scenario.toml")),
+        scenario: args.scenario.clone().unwrap_or_else(|| runtime_folder().join(&args.group).join("scenario.toml")),
         parent: args.parent,
     })?;
     let links = joined.scenario.links();
@@ -290,13 +289,15 @@ impl<'a, const N: usize> Watch<'a, N> {
         if self.joined.block.pace().plant_ended.load(SeqCst) != 0 {
             return Some(Ended::PlantEnded);
         }
-        let plant = self.members.is_alive(Role::Plant);
-        let dead = match plant {
-            Some(alive) => !alive,
+        let patience_ns = match self.members.is_alive(Role::Plant) {
+            Some(true) => return None,
+            // Its last records may still be on their way, and a process that can't be watched looks dead.
+            Some(false) => DEAD_SILENCE_NS,
             // A plant that never announced itself: silence must do.
-            None => silent_ns > SILENCE_NS + 3 * self.joined.scenario.period_ns(),
+            None => SILENCE_NS,
         };
-        dead.then_some(Ended::GroupDied)
+        let patience_ns = patience_ns + 3 * self.joined.scenario.period_ns();
+        (silent_ns > patience_ns).then_some(Ended::GroupDied)
     }
 
     fn drain_the_rest(&mut self) {

@@ -4,11 +4,14 @@
 //! Numbers from a record are never trusted: counts are clamped to their arrays and differences saturate.
 
 use loopbound_shared::event::Acceptance;
-use loopbound_shared::sample::{Counters, Happening, Links, Receipt, Segment, TickRecord, record_flag, to_vector};
+use loopbound_shared::sample::{
+    Announce, Counters, Happening, Links, Receipt, Segment, TickRecord, record_flag, to_vector,
+};
 
 use crate::event::{Event, EventKind, EventLog};
 use crate::hops::Hops;
 use crate::jitter::JitterStatistics;
+use crate::judge::{Judge, Judged};
 use crate::late::Causes;
 use crate::summary::{Summary, Tracking, counters_by_name, finite};
 use crate::swaps::Swaps;
@@ -95,6 +98,7 @@ pub fn accepted(record: &TickRecord) -> Option<&Receipt> {
 #[derive(Debug)]
 pub struct Tracker<const N: usize> {
     config: Config,
+    judge: Option<Judge<N>>,
     hops: Hops,
     interval: Hops,
     jitter: JitterStatistics,
@@ -130,11 +134,12 @@ struct Errors {
 }
 
 impl<const N: usize> Tracker<N> {
-    /// A tracker that has seen nothing. All of its memory is allocated here.
+    /// A tracker that has seen nothing; without a judge it leaves the bound out. All of its memory is allocated here.
     #[must_use]
-    pub fn new(config: Config) -> Self {
+    pub fn new(config: Config, judge: Option<Judge<N>>) -> Self {
         Self {
             config,
+            judge,
             hops: Hops::default(),
             interval: Hops::default(),
             jitter: JitterStatistics::default(),
@@ -165,10 +170,18 @@ impl<const N: usize> Tracker<N> {
         }
         self.note_happenings(record);
         let missed = self.causes.feed(&self.config, record, settled, &mut self.events);
-        self.swaps.feed(record, self.config.period_ns, missed, None);
+        let judged = self.judge.as_mut().map_or_else(Judged::default, |judge| judge.feed(record, &mut self.events));
+        self.swaps.feed(record, self.config.period_ns, missed, judged.v);
         self.errors.record::<N>(&self.config, record);
         self.counters = record.counters;
-        Some(row(record, receipt))
+        Some(row(record, receipt, judged))
+    }
+
+    /// Takes what a process says of itself: the law of a controller.
+    pub fn learn(&mut self, announce: &Announce) {
+        if let Some(judge) = &mut self.judge {
+            judge.learn(announce);
+        }
     }
 
     /// Whether the record is newer than the last one; counts what lies between.
@@ -305,6 +318,9 @@ impl<const N: usize> Tracker<N> {
             events: self.events.counts(),
             ..Summary::default()
         };
+        if let Some(judge) = &self.judge {
+            summary.bound = judge.summary(config.period_ns, summary.latency_ns.deadline_to_torque.p99_9);
+        }
         summary.faults_injected.insert("torques_and_plant".to_owned(), counters.faults_injected);
         summary.dropped.events = self.events.dropped();
         summary
@@ -343,7 +359,7 @@ fn largest<'a>(so_far: f64, values: impl Iterator<Item = &'a f64>) -> f64 {
     values.fold(so_far, |most, value| if value.abs() > most || value.is_nan() { value.abs() } else { most })
 }
 
-fn row(record: &TickRecord, receipt: Option<&Receipt>) -> Row {
+fn row(record: &TickRecord, receipt: Option<&Receipt>, judged: Judged) -> Row {
     Row {
         tick: record.tick,
         t_s: record.start_plant_ns as f64 * 1e-9,
@@ -353,8 +369,8 @@ fn row(record: &TickRecord, receipt: Option<&Receipt>) -> Row {
         v_d: record.v_d,
         a_d: record.a_d,
         tau: segments(record).last().map_or([0.0; 7], |segment| segment.tau),
-        lyapunov: None,
-        lyapunov_bound: None,
+        lyapunov: judged.v,
+        lyapunov_bound: judged.v_bound,
         round_trip_ns: receipt.and_then(|receipt| receipt.arrived_ns.checked_sub(record.published_ns)),
         active: record.active,
     }

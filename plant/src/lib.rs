@@ -7,7 +7,7 @@ pub mod authority;
 pub mod core;
 mod fallback;
 mod laws;
-mod lockstep;
+pub mod lockstep;
 mod ports;
 mod realtime;
 pub mod swap;

@@ -6,7 +6,8 @@ use std::sync::atomic::Ordering;
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::Bell;
 use loopbound_shared::role;
-use loopbound_shared::sample::{RECEIPTS_MAX, Torque};
+use loopbound_shared::sample::{RECEIPTS_MAX, State, Torque};
+use loopbound_shared::scenario::Scenario;
 
 use crate::core::{Opening, PlantCore};
 use crate::ports::{Orders, Ports};
@@ -70,17 +71,7 @@ fn one_tick<const N: usize>(
         ports.serve(core, orders);
         ports.update_connections();
     }
-    let t_k_ns = tick * scenario.period_ns();
-    let opening = Opening {
-        tick,
-        deadline_ns: t_k_ns,
-        sampled_ns: t_k_ns,
-        grace_deadline_ns: t_k_ns + scenario.loop_.grace_ns(),
-        skipped: 0,
-    };
-    let mut state = core.open(opening);
-    state.published_ns = t_k_ns;
-    core.stamp_published(t_k_ns, state.grace_deadline_ns);
+    let state = open(core, tick, scenario);
     ports.states.send(state);
     // In lockstep everyone waits at the doorbell, whatever the mode.
     block.ring(Bell::State);
@@ -132,12 +123,23 @@ fn gather<const N: usize>(
     true
 }
 
+/// Opens a tick at its virtual instant t_k = k h; the state to be published.
+pub fn open<const N: usize>(core: &mut PlantCore<N>, tick: u64, scenario: &Scenario) -> State {
+    let t_k_ns = tick * scenario.period_ns();
+    let grace_deadline_ns = t_k_ns + scenario.loop_.grace_ns();
+    let mut state =
+        core.open(Opening { tick, deadline_ns: t_k_ns, sampled_ns: t_k_ns, grace_deadline_ns, skipped: 0 });
+    state.published_ns = t_k_ns;
+    core.stamp_published(t_k_ns, grace_deadline_ns);
+    state
+}
+
 /// Applies the answers of a tick in the order of their virtual arrival, as the realtime loop would see them.
-pub(crate) fn judge<const N: usize>(
+pub fn judge<const N: usize>(
     core: &mut PlantCore<N>,
     answers: &mut [Torque],
     tick: u64,
-    scenario: &loopbound_shared::scenario::Scenario,
+    scenario: &Scenario,
 ) {
     let t_k_ns = tick * scenario.period_ns();
     let (grace_ns, cutoff_ns) =

@@ -11,10 +11,9 @@ use loopbound_shared::event::{Phase, Role};
 use loopbound_shared::fault::{FaultActions, FaultPlan};
 use loopbound_shared::ports::Publisher;
 use loopbound_shared::realtime;
-use loopbound_shared::role::{self, Joined, RoleArgs, RoleError};
+use loopbound_shared::role::{self, RoleArgs, RoleError};
 use loopbound_shared::sample::{Announce, Setpoint, to_links};
 use loopbound_shared::scenario::{self, Mode, Scenario, ScenarioError};
-use loopbound_shared::system;
 use loopbound_shared::trajectory::Trajectory;
 use loopbound_shared::with_links;
 

@@ -15,9 +15,13 @@
 //! | [`stability`] | how late a torque may be: [11], [12], [13] and the spectral radius of the sampled loop |
 
 pub mod certificate;
+pub mod diagnose;
 pub mod envelope;
 pub mod lyapunov;
 pub mod remedy;
 pub mod stability;
+
+#[cfg(test)]
+mod attack;
 #[cfg(test)]
 mod testing;

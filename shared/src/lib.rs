@@ -4,6 +4,7 @@
 //! workspace. Nothing here knows which process it runs in.
 
 pub mod bound;
+pub mod cast;
 pub mod chain;
 pub mod clock;
 pub mod doorbell;

@@ -1,5 +1,6 @@
 //! The end of a group, in order: the plant, then the monitor with its summary, then the rest; nobody is left.
 
+use std::os::unix::process::ExitStatusExt as _;
 use std::sync::atomic::Ordering::SeqCst;
 
 use loopbound_shared::clock;
@@ -29,23 +30,16 @@ impl Supervisor<'_> {
             self.end_everyone();
             return Err(failure.into());
         }
-        let asked = matches!(end, End::Stopped(_) | End::Policy(_));
-        if asked && self.ready_ns != 0 {
-            // Without an answer the plant is terminated below, like whoever does not listen.
-            let _ =
-                self.command(Command { kind: CommandKind::StopAt.code(), tick: self.tick() + 1, ..Command::zeroed() });
-        }
         if self.ready_ns != 0 {
-            self.end_plant();
-            let died = self.children.iter().find(|c| c.process.role == Role::Plant).is_some_and(plant_died);
+            let asked = matches!(end, End::Stopped(_) | End::Policy(_));
+            let patience_ns = if !asked || self.ask_to_stop() { PLANT_NS + 2 * self.scenario.period_ns() } else { 0 };
+            self.end_plant(patience_ns);
             self.say_that_the_plant_ended();
-            if died {
-                self.record_plant_death();
-            }
             self.wait_for(Role::Monitor, SUMMARY_NS);
         }
         let summary = std::fs::read(self.group.file("summary.json")).ok();
         self.end_everyone();
+        self.record_last_deaths();
         let stopped = if let End::Stopped(exit) = end { Some(exit) } else { None };
         Ok(Outcome {
             record: self.record(&end),
@@ -54,9 +48,14 @@ impl Supervisor<'_> {
         })
     }
 
-    fn end_plant(&mut self) {
-        let period_ns = self.scenario.period_ns();
-        if !self.wait_for(Role::Plant, PLANT_NS + 2 * period_ns) {
+    /// Whether the plant has agreed to stop.
+    fn ask_to_stop(&self) -> bool {
+        let tick = self.tick() + 1;
+        self.command(Command { kind: CommandKind::StopAt.code(), tick, ..Command::zeroed() }).is_ok()
+    }
+
+    fn end_plant(&mut self, patience_ns: u64) {
+        if !self.wait_for(Role::Plant, patience_ns) {
             self.children.iter().filter(|c| c.process.role == Role::Plant).for_each(Child::terminate);
             if !self.wait_for(Role::Plant, LEAVE_NS) {
                 self.children.iter().filter(|c| c.process.role == Role::Plant).for_each(Child::kill);
@@ -73,15 +72,18 @@ impl Supervisor<'_> {
         }
     }
 
-    fn record_plant_death(&mut self) {
+    /// Whoever ended otherwise than in order and is not in the list yet: the plant, who died in the last moment, and
+    /// who had to be killed. (A user's own controller may well leave its end to SIGTERM.)
+    fn record_last_deaths(&mut self) {
         let tick = self.tick();
-        let plants = self.children.iter().filter(|c| c.process.role == Role::Plant);
-        self.deaths.extend(plants.map(|plant| Death {
-            role: plant.process.role.to_string(),
-            id: plant.process.id,
-            pid: plant.pid,
+        let in_order = |c: &Child| c.ended.is_some_and(|(status, _)| status.success() || status.signal() == Some(15));
+        let last = self.children.iter().filter(|c| !c.settled && !in_order(c));
+        self.deaths.extend(last.map(|child| Death {
+            role: child.process.role.to_string(),
+            id: child.process.id,
+            pid: child.pid,
             tick,
-            how: plant.how_ended(),
+            how: child.how_ended(),
             recovered: false,
         }));
     }
@@ -121,8 +123,4 @@ impl Supervisor<'_> {
         }
         self.node.clean_up_dead_nodes();
     }
-}
-
-fn plant_died(plant: &Child) -> bool {
-    plant.ended.is_none_or(|(status, _)| !status.success())
 }

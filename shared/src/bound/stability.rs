@@ -32,30 +32,31 @@ pub struct SamplingBudget {
 
 /// Rate a of the fastest mode of the loop, 1/s: ṙ = −a r, in the worst configuration (links aligned).
 ///
-/// K_t/λ̲ for `robust` and `pd+g`; the feed-forward of `robust-ff` adds β and that of `ctc` is K_d alone, both times the
-/// largest error of the inertia.
+/// K_t/λ̲ for `robust` and `pd+g`; the feed-forward of `robust-ff` adds β times the largest ratio of the model's inertia
+/// to the true one. None for `ctc`: it has no mode that is much faster than the chain itself, so that no single rate
+/// describes it; [`radius`] does.
 #[must_use]
-pub fn fast_rate(cert: &Certificate) -> f64 {
-    let inertia_error = 1.0 + cert.mu / (1.0 - cert.mu) * (cert.lambda_hi / cert.lambda_lo).sqrt();
-    match cert.law() {
-        None => 0.0,
-        Some(LawKind::Robust | LawKind::PdG) => cert.k_t / cert.lambda_lo,
-        Some(LawKind::RobustFf) => cert.k_t / cert.lambda_lo + cert.beta * inertia_error,
-        Some(LawKind::Ctc) => cert.k_d * inertia_error,
-    }
+pub fn fast_rate(cert: &Certificate) -> Option<f64> {
+    let inertia_ratio = 1.0 + cert.mu / (1.0 - cert.mu) * (cert.lambda_hi / cert.lambda_lo).sqrt();
+    let rate = match cert.law()? {
+        LawKind::Robust | LawKind::PdG => cert.k_t / cert.lambda_lo,
+        LawKind::RobustFf => cert.k_t / cert.lambda_lo + cert.beta * inertia_ratio,
+        LawKind::Ctc => return None,
+    };
+    (rate > 0.0 && rate.is_finite()).then_some(rate)
 }
 
 /// [11] for a period and a constant delay (both s), the torque held in between.
 ///
 /// ṙ = −a r sampled exactly has, for d < h, the characteristic polynomial z² − (1 − a(h−d)) z + a d, and Jury's test of
-/// it is a d < 1, a(h − 2d) < 2. Local: the loop is linearised; no region of attraction is claimed.
+/// it is a d < 1, a(h − 2d) < 2. None where [`fast_rate`] is none. Local: the loop is linearised; no region of attraction is claimed.
 #[must_use]
-pub fn sampling_budget(cert: &Certificate, period_s: f64, delay_s: f64) -> SamplingBudget {
-    let rate = fast_rate(cert);
+pub fn sampling_budget(cert: &Certificate, period_s: f64, delay_s: f64) -> Option<SamplingBudget> {
+    let rate = fast_rate(cert)?;
     let used = |delay_s: f64| rate / critical_rate(period_s, delay_s);
     // The use of the budget falls with the delay up to h/4 (there is one best delay) and grows from there on.
     let (mut holds, mut fails) = (delay_s.max(period_s / 4.0), 2.0 * (delay_s + period_s + PI / rate));
-    let delay_margin_s = if used(delay_s) >= 1.0 || !(rate > 0.0) {
+    let delay_margin_s = if used(delay_s) >= 1.0 {
         0.0
     } else {
         for _ in 0..60 {
@@ -64,13 +65,13 @@ pub fn sampling_budget(cert: &Certificate, period_s: f64, delay_s: f64) -> Sampl
         }
         (holds - delay_s).max(0.0)
     };
-    SamplingBudget {
+    Some(SamplingBudget {
         delay_ratio: rate * delay_s,
         hold_ratio: rate * (period_s - 2.0 * delay_s) / 2.0,
         used: used(delay_s),
         delay_margin_s,
         period_max_s: 2.0 * delay_s + 2.0 / rate,
-    }
+    })
 }
 
 /// The rate a (1/s) at which ṙ = −a r, sampled every h and answered d later, loses its stability; any d ≥ 0.

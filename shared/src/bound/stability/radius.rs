@@ -70,6 +70,29 @@ pub fn worst_radius<const N: usize>(law: &Law<N>, plant: &Chain<N>, period_s: f6
     aligned.into_iter().chain(drawn).map(|q| spectral_radius(law, plant, &q, period_s, delay_s)).fold(0.0, f64::max)
 }
 
+/// What may be added to the delay before [`worst_radius`] reaches 1, s; 0 when it has. For any law, `ctc` included.
+///
+/// The search ends at 32 periods: a loop that bears more is not limited by its latency.
+#[must_use]
+pub fn delay_margin_s<const N: usize>(law: &Law<N>, plant: &Chain<N>, period_s: f64, delay_s: f64) -> f64 {
+    let stable = |delay_s: f64| worst_radius(law, plant, period_s, delay_s, 4) < 1.0;
+    if !stable(delay_s) {
+        return 0.0;
+    }
+    let (mut holds, mut step) = (delay_s, period_s / 2.0);
+    // Walking before bisecting finds the first boundary, should there be several.
+    while holds < delay_s + 32.0 * period_s && stable(holds + step) {
+        holds += step;
+    }
+    for _ in 0..20 {
+        step *= 0.5;
+        if stable(holds + step) {
+            holds += step;
+        }
+    }
+    holds - delay_s
+}
+
 /// Whole periods in the delay, and the rest of it in s.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "bounded by 64, not negative")]
 fn split(period_s: f64, delay_s: f64) -> (usize, f64) {

@@ -1,0 +1,436 @@
+//! The bound, tick by tick: V, promise (a), diagnosis (b), Ψ against C1, with the certificate of whoever was in charge.
+//!
+//! Promise and diagnosis need no history but the sample that a torque answers, so a monitor may join at any time. Not
+//! checked, and not counted as checked: ticks at rest, ticks whose torques come from two laws (a swap, a blend), and
+//! whatever has no certificate.
+
+use loopbound_shared::bound::certificate::{Certificate, Gains, StartError, certificate, certify};
+use loopbound_shared::bound::diagnose::{Diagnosis, IntervalDiagnosis, Segment, Verdict};
+use loopbound_shared::bound::envelope::{Assumptions, Envelope};
+use loopbound_shared::bound::stability::sampling_budget;
+use loopbound_shared::chain::Chain;
+use loopbound_shared::event::{Decision, Role};
+use loopbound_shared::integrator::PlantState;
+use loopbound_shared::law::{Law, LawInput, LawKind};
+use loopbound_shared::sample::{Announce, SEGMENTS_MAX, TickRecord, record_flag, to_vector};
+use loopbound_shared::scenario::{Scenario, ScenarioError};
+use loopbound_shared::system;
+use loopbound_shared::trajectory::SetpointValue;
+use loopbound_shared::truth::Truth;
+
+use crate::event::{EventKind, EventLog};
+use crate::summary::{BoundSummary, finite};
+use crate::tracker::segments;
+
+/// Samples that are remembered: a torque that is older than this answers an unknown one.
+const SAMPLES: usize = 1024;
+/// Controllers whose law is remembered.
+const CLAIMS_MAX: usize = 64;
+
+/// What is known of one controller's law.
+#[derive(Clone, Debug)]
+struct Claim<const N: usize> {
+    law: Law<N>,
+    certificate: Certificate,
+    shortfalls: Vec<String>,
+}
+
+/// Checks the bound of a group with N links.
+#[derive(Debug)]
+pub struct Judge<const N: usize> {
+    truth: Truth<N>,
+    assumptions: Assumptions<N>,
+    envelope: Envelope,
+    start: LawInput<N>,
+    scenario_gains: [Gains; LawKind::ALL.len()],
+    step_max_ns: u64,
+    settle_ns: u64,
+    actuation_delay_ns: u64,
+    /// The scenario's own law, and the controllers that have it unless they say otherwise.
+    own: Option<Claim<N>>,
+    own_ids_max: u32,
+    claims: Vec<(u32, Option<Claim<N>>)>,
+    samples: Box<[Option<(u64, Sample<N>)>]>,
+    before: Option<Before>,
+    figures: Figures,
+}
+
+/// A sample as the controllers got it, with the setpoint that the accepted torque used and the one of the tick.
+#[derive(Clone, Copy, Debug)]
+struct Sample<const N: usize> {
+    answered: LawInput<N>,
+    scheduled: LawInput<N>,
+}
+
+/// What the tick before promised.
+#[derive(Clone, Copy, Debug)]
+struct Before {
+    end_plant_ns: u64,
+    active: u32,
+    v: f64,
+    v_bound: f64,
+    checked: bool,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Figures {
+    active: u32,
+    checked: u64,
+    promises: u64,
+    violations: u64,
+    delay_aware: u64,
+    promise: u64,
+    verdicts: [u64; VERDICTS.len()],
+    outside: bool,
+    v_start: Option<f64>,
+    v_max: Option<f64>,
+    v_final: Option<f64>,
+    psi_max: Option<f64>,
+    slack_min: Option<f64>,
+    slack_sum: f64,
+    w_max_settled: Option<f64>,
+}
+
+const VERDICTS: [(Verdict, &str); 6] = [
+    (Verdict::Certified, "certified"),
+    (Verdict::Latency, "latency"),
+    (Verdict::ControllerFault, "controller_fault"),
+    (Verdict::UncertaintyExceeded, "uncertainty_exceeded"),
+    (Verdict::OutsideLevel, "outside_level"),
+    (Verdict::NotCertified, "not_certified"),
+];
+
+/// V and what was promised for it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Judged {
+    /// V at s_k, in the V of whoever is in charge.
+    pub v: Option<f64>,
+    /// The right side of promise (a) from the tick before.
+    pub v_bound: Option<f64>,
+}
+
+impl<const N: usize> Judge<N> {
+    /// Takes from the scenario what is true and what is assumed.
+    ///
+    /// # Errors
+    /// If the scenario describes no system.
+    pub fn new(scenario: &Scenario) -> Result<Self, ScenarioError> {
+        let assumptions = system::assumptions::<N>(scenario)?;
+        let envelope = assumptions.envelope();
+        let scenario_gains = LawKind::ALL.map(|law| system::gains(scenario, law));
+        let mut judge = Self {
+            truth: scenario.build_truth()?,
+            assumptions,
+            envelope,
+            start: system::start(scenario)?,
+            scenario_gains,
+            step_max_ns: scenario.loop_.max_step.ns(),
+            settle_ns: scenario.loop_.settle_ns(),
+            actuation_delay_ns: scenario.plant.actuation_delay.ns(),
+            own: None,
+            own_ids_max: scenario.controller.standby.saturating_add(1),
+            claims: Vec::with_capacity(CLAIMS_MAX),
+            samples: vec![None; SAMPLES].into_boxed_slice(),
+            before: None,
+            figures: Figures::default(),
+        };
+        let law = scenario.controller.law;
+        // A user's own executable has no law but the one that it announces.
+        judge.own = scenario.controller.exe.is_none().then(|| judge.claim(law, &scenario_gains[law as usize]));
+        Ok(judge)
+    }
+
+    fn claim(&self, kind: LawKind, gains: &Gains) -> Claim<N> {
+        let certification = certify(kind, &self.assumptions, gains, Some(&self.start));
+        let certificate = certification.certificate;
+        let law = Law {
+            kind,
+            model: self.assumptions.nominal,
+            beta: gains.beta,
+            k_t: certificate.k_t,
+            k_p: gains.k_p,
+            k_d: gains.k_d,
+        };
+        let shortfalls = certification.failures.iter().map(ToString::to_string).collect();
+        Claim { law, certificate, shortfalls }
+    }
+
+    /// Takes what a controller says of its law. Gains other than the scenario's get a certificate of their own.
+    pub fn learn(&mut self, announce: &Announce) {
+        if announce.role != Role::Controller.code() {
+            return;
+        }
+        let kind = usize::try_from(announce.law).ok().and_then(|code| LawKind::ALL.get(code.checked_sub(1)?));
+        let claim = kind.map(|kind| self.claim_of(*kind, announce));
+        let room = self.claims.len() < CLAIMS_MAX;
+        match self.claims.iter_mut().find(|(id, _)| *id == announce.id) {
+            Some((_, known)) => *known = claim,
+            None if room => self.claims.push((announce.id, claim)),
+            None => {}
+        }
+    }
+
+    fn claim_of(&self, kind: LawKind, announce: &Announce) -> Claim<N> {
+        let gains = self.scenario_gains[kind as usize];
+        let start = StartError::of(&self.assumptions.nominal, &self.start);
+        let scenarios = certificate(kind, &self.envelope, &gains, Some(&start));
+        let same = |a: f64, b: f64| a.to_bits() == b.to_bits();
+        let same_gains = match kind {
+            LawKind::Robust | LawKind::RobustFf => same(announce.k_t, scenarios.k_t) && same(announce.beta, gains.beta),
+            LawKind::Ctc | LawKind::PdG => same(announce.k_p, gains.k_p) && same(announce.k_d, gains.k_d),
+        };
+        if same_gains {
+            return self.claim(kind, &gains);
+        }
+        let k_t = matches!(kind, LawKind::Robust | LawKind::RobustFf).then_some(announce.k_t);
+        let Announce { beta, k_p, k_d, .. } = *announce;
+        let mut claim = self.claim(kind, &Gains { beta, k_p, k_d, k_t, ..gains });
+        claim.law.k_t = announce.k_t;
+        claim
+    }
+
+    fn claim_for(&self, id: u32) -> Option<&Claim<N>> {
+        match self.claims.iter().find(|(known, _)| *known == id) {
+            Some((_, claim)) => claim.as_ref(),
+            None => self.own.as_ref().filter(|_| (1..=self.own_ids_max).contains(&id)),
+        }
+    }
+
+    /// Judges the tick of a record.
+    pub fn feed(&mut self, record: &TickRecord, events: &mut EventLog) -> Judged {
+        let x = true_input::<N>(record);
+        self.remember(record);
+        let active = if record.active == 0 { self.figures.active } else { record.active };
+        self.figures.active = active;
+        // With nobody in charge yet, V is that of the scenario's law.
+        let claim = if active == 0 { self.own.as_ref() } else { self.claim_for(active) };
+        let Some(claim) = claim else {
+            self.before = None;
+            return Judged::default();
+        };
+        let certificate = claim.certificate;
+        let v = certificate.v(&self.truth.chain, &x);
+        let diagnosis = self.diagnose(record, claim, &x);
+        let before = self
+            .before
+            .filter(|before| before.end_plant_ns == record.start_plant_ns && before.active == active && before.checked);
+        self.note_v(record, v, &certificate, &x, events);
+        if let Some(before) = before {
+            self.note_promise(record, v, &before, &certificate, events);
+        }
+        if let Some(diagnosis) = &diagnosis {
+            self.note_diagnosis(record, diagnosis, events);
+        }
+        let h_s = record.end_plant_ns.saturating_sub(record.start_plant_ns) as f64 * 1e-9;
+        self.before = Some(Before {
+            end_plant_ns: record.end_plant_ns,
+            active,
+            v,
+            v_bound: certificate.promised(v, h_s),
+            checked: diagnosis.is_some() && v <= certificate.level,
+        });
+        Judged { v: finite(v), v_bound: before.and_then(|before| finite(before.v_bound)) }
+    }
+
+    fn remember(&mut self, record: &TickRecord) {
+        let (q, v) = (to_vector(&record.q_measured), to_vector(&record.v_measured));
+        let scheduled =
+            LawInput { q, v, q_d: to_vector(&record.q_d), v_d: to_vector(&record.v_d), a_d: to_vector(&record.a_d) };
+        let used = LawInput {
+            q,
+            v,
+            q_d: to_vector(&record.used_q_d),
+            v_d: to_vector(&record.used_v_d),
+            a_d: to_vector(&record.used_a_d),
+        };
+        // Without an accepted torque nobody said which setpoint was used.
+        let answered =
+            if record.accepted_ns == 0 && record.decision != Decision::Active.code() { scheduled } else { used };
+        self.samples[place(record.tick)] = Some((record.tick, Sample { answered, scheduled }));
+    }
+
+    fn sample(&self, tick: u64) -> Option<&Sample<N>> {
+        self.samples[place(tick)].as_ref().filter(|(of, _)| *of == tick).map(|(_, sample)| sample)
+    }
+
+    fn diagnose(&self, record: &TickRecord, claim: &Claim<N>, x: &LawInput<N>) -> Option<IntervalDiagnosis<N>> {
+        let used = segments(record);
+        let unfit = record.flags & record_flag::AT_REST != 0
+            || record.decision == Decision::Blend.code()
+            || !claim.certificate.is_certified()
+            || used.is_empty()
+            || used.iter().any(|segment| !self.is_same_law(segment.writer, claim));
+        if unfit {
+            return None;
+        }
+        let scheduled = self.sample(record.tick).map(|sample| sample.scheduled);
+        let nothing = Segment { to_ns: 0, tau: to_vector(&[0.0; 7]), answered: None, scheduled: None };
+        let mut parts = [nothing; SEGMENTS_MAX];
+        for (at, segment) in used.iter().enumerate() {
+            let to_ns = used.get(at + 1).map_or(record.end_plant_ns, |next| next.from_plant_ns);
+            let answered = self.sample(segment.answered_tick).filter(|_| segment.writer != 0);
+            parts[at] = Segment {
+                to_ns: to_ns.clamp(record.start_plant_ns, record.end_plant_ns.max(record.start_plant_ns)),
+                tau: to_vector(&segment.tau),
+                answered: answered.map(|sample| sample.answered),
+                scheduled,
+            };
+            // A torque that answers a sample which this monitor did not see can't be recomputed.
+            if segment.writer != 0 && answered.is_none() {
+                return None;
+            }
+        }
+        let diagnosis = Diagnosis {
+            truth: &self.truth,
+            certificate: &claim.certificate,
+            law: Some(&claim.law),
+            step_max_ns: self.step_max_ns,
+        };
+        let setpoint = SetpointValue { q_d: x.q_d, v_d: x.v_d, a_d: x.a_d };
+        let state = PlantState { q: x.q, v: x.v };
+        Some(diagnosis.interval(&state, &setpoint, record.start_plant_ns, &parts[..used.len()]))
+    }
+
+    fn is_same_law(&self, writer: u32, claim: &Claim<N>) -> bool {
+        writer == 0 || self.claim_for(writer).is_some_and(|other| other.law == claim.law)
+    }
+
+    fn note_v(
+        &mut self,
+        record: &TickRecord,
+        v: f64,
+        certificate: &Certificate,
+        x: &LawInput<N>,
+        events: &mut EventLog,
+    ) {
+        let figures = &mut self.figures;
+        let level = certificate.level;
+        figures.v_start = figures.v_start.or(finite(v));
+        figures.v_max = largest(figures.v_max, v);
+        figures.v_final = finite(v);
+        let outside = !(v <= level);
+        if outside != figures.outside {
+            figures.outside = outside;
+            events.push(record.tick, record.start_plant_ns, EventKind::Level { v, level, inside: !outside });
+        }
+        if record.start_plant_ns >= self.settle_ns && record.flags & record_flag::AT_REST == 0 {
+            figures.w_max_settled = largest(figures.w_max_settled, certificate.w_of(x));
+        }
+    }
+
+    fn note_promise(
+        &mut self,
+        record: &TickRecord,
+        v: f64,
+        before: &Before,
+        certificate: &Certificate,
+        events: &mut EventLog,
+    ) {
+        debug_assert!(certificate.is_certified(), "only checked ticks promise");
+        let figures = &mut self.figures;
+        let slack = before.v_bound - v;
+        figures.promises += 1;
+        figures.slack_min = Some(figures.slack_min.map_or(slack, |least| least.min(slack)));
+        figures.slack_sum += slack;
+        // The tolerance of the diagnosis; a V that is not a number breaks every promise.
+        if !(slack >= -1e-6 * (1.0 + before.v)) {
+            figures.promise += 1;
+            let kind = EventKind::Promise { v, v_bound: before.v_bound };
+            events.push(record.tick, record.start_plant_ns, kind);
+        }
+    }
+
+    fn note_diagnosis(&mut self, record: &TickRecord, found: &IntervalDiagnosis<N>, events: &mut EventLog) {
+        let figures = &mut self.figures;
+        figures.checked += 1;
+        figures.psi_max = largest(figures.psi_max, found.psi_max);
+        let (at, name) = VERDICTS
+            .iter()
+            .enumerate()
+            .find(|(_, (verdict, _))| *verdict == found.verdict)
+            .map_or((VERDICTS.len() - 1, "not_certified"), |(at, (_, name))| (at, *name));
+        figures.verdicts[at] += 1;
+        let violated =
+            matches!(found.verdict, Verdict::Latency | Verdict::ControllerFault | Verdict::UncertaintyExceeded);
+        if violated {
+            figures.violations += 1;
+            figures.delay_aware += u64::from(found.verdict != Verdict::Latency);
+            let kind = EventKind::Bound { verdict: name, x: found.x, int_l: found.int_l, int_f: found.int_f };
+            events.push(record.tick, record.start_plant_ns, kind);
+        }
+    }
+
+    /// The figures so far. `loop_latency_ns`: p99.9 of deadline → torque.
+    #[must_use]
+    pub fn summary(&self, period_ns: u64, loop_latency_ns: Option<f64>) -> BoundSummary {
+        let figures = &self.figures;
+        let claim = if figures.active == 0 { self.own.as_ref() } else { self.claim_for(figures.active) };
+        let verdicts =
+            VERDICTS.iter().zip(figures.verdicts).map(|((_, name), count)| ((*name).to_owned(), count)).collect();
+        let mut summary = BoundSummary {
+            checked: figures.checked,
+            violations: figures.violations,
+            violations_delay_aware: figures.delay_aware,
+            violations_promise: figures.promise,
+            verdicts,
+            v_start: figures.v_start,
+            v_max: figures.v_max,
+            v_final: figures.v_final,
+            psi_max: figures.psi_max,
+            slack_min: figures.slack_min.and_then(finite),
+            slack_mean: if figures.promises > 0 { finite(figures.slack_sum / figures.promises as f64) } else { None },
+            w_norm_max_settled: figures.w_max_settled,
+            ..BoundSummary::default()
+        };
+        let Some(claim) = claim else { return summary };
+        let certificate = &claim.certificate;
+        summary.law = Some(claim.law.kind.name().to_owned());
+        summary.certified = certificate.is_certified();
+        summary.shortfalls.clone_from(&claim.shortfalls);
+        summary.level = finite(certificate.level);
+        summary.k_t = finite(claim.law.k_t).filter(|_| claim.law.kind != LawKind::Ctc);
+        summary.kappa = finite(certificate.kappa).filter(|_| claim.law.kind != LawKind::Ctc);
+        if certificate.is_certified() {
+            summary.alpha = finite(certificate.alpha);
+            summary.epsilon = finite(certificate.epsilon);
+            summary.c1 = finite(certificate.psi_allowed());
+            summary.uub_radius = finite(certificate.w_norm);
+            summary.ultimate_bound = finite(certificate.ultimate_e);
+        }
+        let delay_ns = loop_latency_ns.map(|ns| ns + self.actuation_delay_ns as f64);
+        summary.loop_latency_ns = delay_ns;
+        if let Some(delay_ns) = delay_ns
+            && let Some(budget) = sampling_budget(certificate, period_ns as f64 * 1e-9, delay_ns * 1e-9)
+        {
+            summary.budget_used = finite(budget.used);
+            summary.delay_margin_ns = finite(budget.delay_margin_s * 1e9);
+        }
+        summary
+    }
+
+    /// The plant's chain.
+    #[must_use]
+    pub fn true_chain(&self) -> &Chain<N> {
+        &self.truth.chain
+    }
+}
+
+fn place(tick: u64) -> usize {
+    usize::try_from(tick % SAMPLES as u64).unwrap_or(0)
+}
+
+fn true_input<const N: usize>(record: &TickRecord) -> LawInput<N> {
+    LawInput {
+        q: to_vector(&record.q),
+        v: to_vector(&record.v),
+        q_d: to_vector(&record.q_d),
+        v_d: to_vector(&record.v_d),
+        a_d: to_vector(&record.a_d),
+    }
+}
+
+/// The larger one; what is not finite counts as infinite and ends as `null`.
+fn largest(so_far: Option<f64>, value: f64) -> Option<f64> {
+    let value = if value.is_nan() { f64::INFINITY } else { value };
+    Some(so_far.map_or(value, |most| most.max(value)))
+}

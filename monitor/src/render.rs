@@ -1,0 +1,376 @@
+//! The figures of a run as one screen of text.
+
+use std::fmt::Write as _;
+
+use crate::cause::Cause;
+use crate::hops::Hop;
+use crate::summary::{Latency, Quantiles, Summary};
+
+/// The report, at most `width` (at least 60, at most 100) columns wide; `colour` only on a terminal.
+#[must_use]
+pub fn render(summary: &Summary, width: usize, colour: bool) -> String {
+    let mut screen = Screen { text: String::new(), width: width.clamp(60, 100), colour };
+    headline(&mut screen, summary);
+    latencies(&mut screen, summary);
+    ticks(&mut screen, summary);
+    control(&mut screen, summary);
+    bound(&mut screen, summary);
+    swaps(&mut screen, summary);
+    privileges(&mut screen, summary);
+    screen.text
+}
+
+struct Screen {
+    text: String,
+    width: usize,
+    colour: bool,
+}
+
+impl Screen {
+    /// A line, cut at the width. Writing to a string cannot fail.
+    fn line(&mut self, line: &str) {
+        self.painted(line, "");
+    }
+
+    fn painted(&mut self, line: &str, paint: &str) {
+        let cut: String = line.chars().take(self.width).collect();
+        let cut = cut.trim_end();
+        let _ = if self.colour && !paint.is_empty() {
+            writeln!(self.text, "\x1b[{paint}m{cut}\x1b[0m")
+        } else {
+            writeln!(self.text, "{cut}")
+        };
+    }
+
+    /// A label and its text, broken at words and indented below the label.
+    fn entry(&mut self, label: &str, text: &str) {
+        let room = self.width.saturating_sub(LABEL).max(20);
+        let mut label = label;
+        let mut line = String::new();
+        for word in text.split(' ') {
+            if !line.is_empty() && line.chars().count() + 1 + word.chars().count() > room {
+                self.line(&format!("{label:<LABEL$}{line}"));
+                (label, line) = ("", String::new());
+            }
+            if !line.is_empty() {
+                line.push(' ');
+            }
+            line.push_str(word);
+        }
+        self.line(&format!("{label:<LABEL$}{line}"));
+    }
+}
+
+/// Width of the column of labels.
+const LABEL: usize = 18;
+
+fn headline(screen: &mut Screen, summary: &Summary) {
+    let status = summary.verdict.status.to_uppercase();
+    let paint = match summary.verdict.status.as_str() {
+        "held" | "pass" => "1;32",
+        "violated" | "fail" => "1;31",
+        _ => "1;33",
+    };
+    let rate = summary.rate_hz.map_or_else(|| "?".to_owned(), hertz);
+    let law = summary.bound.law.as_deref().unwrap_or("no announced law");
+    let what = format!("{law}, n = {}, {rate} {}, {:.3} s", summary.links, summary.mode, summary.duration_s);
+    screen.painted(&format!("{status}: {what}"), paint);
+    for reason in &summary.verdict.reasons {
+        screen.entry("", reason);
+    }
+    let ticks = format!("{} closed, {} seen", summary.ticks, summary.ticks_seen);
+    let from = summary.first_tick.filter(|tick| *tick > 0);
+    let from = from.map_or_else(String::new, |tick| format!(" (from tick {tick} on)"));
+    let gaps =
+        if summary.monitor_gaps > 0 { format!(", {} not received", summary.monitor_gaps) } else { String::new() };
+    let ended = if summary.ended.is_empty() { String::new() } else { format!("; ended: {}", summary.ended) };
+    screen.entry("ticks", &format!("{ticks}{from}{gaps}{ended}"));
+    screen.line("");
+}
+
+fn latencies(screen: &mut Screen, summary: &Summary) {
+    let heading = if summary.latency_is_virtual { "latency (virtual)" } else { "latency" };
+    screen.painted(&format!("{heading:<22}{:>11}{:>11}{:>11}{:>11}{:>11}", "p50", "p99", "p99.9", "max", "n"), "1");
+    for hop in Hop::ALL {
+        let quantiles = of(&summary.latency_ns, hop);
+        let cells: String = [quantiles.p50, quantiles.p99, quantiles.p99_9, quantiles.max]
+            .into_iter()
+            .map(|value| format!("{:>11}", time(value)))
+            .collect();
+        let mut line = format!("  {:<20}{cells}{:>11}", words(hop), quantiles.n);
+        if quantiles.overflow > 0 {
+            let _ = write!(line, "  {} > 10 s", quantiles.overflow);
+        }
+        screen.line(&line);
+    }
+    let jitter = &summary.jitter_ns;
+    if jitter.n > 0 && !summary.latency_is_virtual {
+        let text = format!(
+            "interval {} ± {} (std), {} to {}; |interval − period| p99 {}, p99.9 {}",
+            time(jitter.mean),
+            time(jitter.std),
+            time(jitter.min),
+            time(jitter.max),
+            time(jitter.deviation_p99),
+            time(jitter.deviation_p99_9)
+        );
+        screen.entry("wake-up jitter", &text);
+    }
+    if summary.start_up_ticks > 0 {
+        screen.entry("", &format!("{} ticks of start-up are left out", summary.start_up_ticks));
+    }
+    screen.line("");
+}
+
+fn ticks(screen: &mut Screen, summary: &Summary) {
+    let text = format!("{} of {}{}", summary.missed_ticks, summary.ticks, causes(&summary.missed_ticks_by_cause));
+    screen.entry("missed ticks", &text);
+    let limit = time(Some(summary.late_limit_ns as f64));
+    let text = format!("{} (deadline → torque > {limit}){}", summary.late_ticks, causes(&summary.late_ticks_by_cause));
+    screen.entry("late ticks", &text);
+    let mut text = format!("{}", summary.overruns);
+    for (key, words) in [
+        ("skipped", "ticks skipped"),
+        ("setpoint_stale", "setpoints stale"),
+        ("stale", "torques stale"),
+        ("not_finite", "not finite"),
+        ("malformed", "malformed"),
+        ("unknown_writer", "of unknown writers"),
+        ("fenced", "fenced"),
+        ("held", "ticks held"),
+        ("damped", "damped"),
+        ("stopped", "stopped"),
+        ("saturated", "saturated"),
+        ("failovers", "failovers"),
+        ("faults_injected", "faults injected"),
+    ] {
+        let count = summary.counters.get(key).copied().unwrap_or(0);
+        if count > 0 {
+            let _ = write!(text, ", {count} {words}");
+        }
+    }
+    screen.entry("overruns", &text);
+}
+
+fn control(screen: &mut Screen, summary: &Summary) {
+    let tracking = &summary.tracking;
+    let text = if tracking.n == 0 {
+        "the run ended before it settled".to_owned()
+    } else {
+        format!(
+            "max |e| {} rad, rms {} rad; max |ė| {} rad/s, rms {} rad/s ({} ticks, settled)",
+            number(tracking.max_abs_e_rad),
+            number(tracking.rms_e_rad),
+            number(tracking.max_abs_ed_rad_s),
+            number(tracking.rms_ed_rad_s),
+            tracking.n
+        )
+    };
+    screen.entry("tracking error", &text);
+}
+
+fn bound(screen: &mut Screen, summary: &Summary) {
+    let bound = &summary.bound;
+    let text = format!(
+        "{} at first, max {}, {} at the end; certified level c = {}",
+        number(bound.v_start),
+        number(bound.v_max),
+        number(bound.v_final),
+        number(bound.level)
+    );
+    screen.entry("V", &text);
+    if bound.checked == 0 {
+        screen
+            .entry("bound", if bound.certified { "certified, no tick checked" } else { "not certified: not checked" });
+    } else {
+        let by_latency = bound.violations.saturating_sub(bound.violations_delay_aware);
+        let text = format!(
+            "{} of {} ticks violated: {} by latency, {} otherwise; {} promises broken; slack min {}, mean {}",
+            bound.violations,
+            bound.checked,
+            by_latency,
+            bound.violations_delay_aware,
+            bound.violations_promise,
+            number(bound.slack_min),
+            number(bound.slack_mean)
+        );
+        screen.entry("bound", &text);
+        let text = format!(
+            "Ψ max {} of C1 = {} N·m; |W| settled {} of {}; |e| proven ≤ {} rad",
+            number(bound.psi_max),
+            number(bound.c1),
+            number(bound.w_norm_max_settled),
+            number(bound.uub_radius),
+            number(bound.ultimate_bound)
+        );
+        screen.entry("assumptions", &text);
+    }
+    let text = match bound.budget_used {
+        Some(used) => format!(
+            "{:.1} % used by d = {} (p99.9 of the loop), margin {}",
+            used * 100.0,
+            time(bound.loop_latency_ns),
+            time(bound.delay_margin_ns)
+        ),
+        None => "not known for this law".to_owned(),
+    };
+    screen.entry("latency budget", &text);
+}
+
+fn swaps(screen: &mut Screen, summary: &Summary) {
+    let mut label = "swaps";
+    for swap in &summary.swaps {
+        let reason = swap.reason.as_ref().map_or_else(String::new, |reason| format!(" ({reason})"));
+        let text = format!(
+            "tick {}: {} {} → {}: {}{reason}, {} missed, torque step {} N·m, ΔV {}",
+            swap.tick,
+            swap.kind,
+            swap.from,
+            swap.to,
+            swap.result,
+            swap.missed_ticks,
+            number(swap.torque_step_nm),
+            number(swap.delta_v)
+        );
+        screen.entry(std::mem::take(&mut label), &text);
+    }
+}
+
+fn privileges(screen: &mut Screen, summary: &Summary) {
+    let mut label = "privileges";
+    let of_the_loop = |role: &str| matches!(role, "plant" | "controller" | "reference");
+    for process in summary.processes.iter().filter(|process| of_the_loop(&process.role)) {
+        let had: Vec<&str> = process
+            .privileges
+            .as_object()
+            .into_iter()
+            .flatten()
+            .filter(|(_, value)| value.as_str() == Some("had"))
+            .map(|(name, _)| name.as_str())
+            .collect();
+        let had = if had.is_empty() { "none".to_owned() } else { had.join(", ") };
+        screen.entry(std::mem::take(&mut label), &format!("{} {}: {had}", process.role, process.id));
+    }
+    // Each refusal once, whoever met it: the remedy is the same for all.
+    let mut told: Vec<&str> = Vec::new();
+    for missing in summary.processes.iter().flat_map(|process| &process.missing) {
+        if !told.contains(&missing.step.as_str()) {
+            told.push(&missing.step);
+            screen.entry("", &format!("no {}: {}; {}", missing.step, missing.cost, missing.remedy));
+        }
+    }
+    if summary.dropped != crate::summary::Dropped::default() {
+        let dropped = &summary.dropped;
+        let text = format!("{} rows, {} events, {} intervals", dropped.samples, dropped.events, dropped.intervals);
+        screen.entry("not recorded", &text);
+    }
+}
+
+fn of(latency: &Latency, hop: Hop) -> &Quantiles {
+    match hop {
+        Hop::Wakeup => &latency.wakeup,
+        Hop::StateToController => &latency.state_to_controller,
+        Hop::Compute => &latency.compute,
+        Hop::ControllerToPlant => &latency.controller_to_plant,
+        Hop::RoundTrip => &latency.round_trip,
+        Hop::DeadlineToTorque => &latency.deadline_to_torque,
+        Hop::SetpointAge => &latency.setpoint_age,
+    }
+}
+
+fn words(hop: Hop) -> &'static str {
+    match hop {
+        Hop::Wakeup => "wake-up",
+        Hop::StateToController => "state → controller",
+        Hop::Compute => "compute",
+        Hop::ControllerToPlant => "controller → plant",
+        Hop::RoundTrip => "round trip",
+        Hop::DeadlineToTorque => "deadline → torque",
+        Hop::SetpointAge => "setpoint age",
+    }
+}
+
+/// The causes that occurred, the most frequent first.
+fn causes(by_name: &std::collections::BTreeMap<String, u64>) -> String {
+    let mut found: Vec<(u64, &str)> = by_name
+        .iter()
+        .filter(|(_, count)| **count > 0)
+        .map(|(name, count)| {
+            let known = Cause::ALL.iter().find(|cause| cause.name() == name);
+            (*count, known.map_or(name.as_str(), |cause| cause.words()))
+        })
+        .collect();
+    found.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(b.1)));
+    let list: Vec<String> = found.into_iter().map(|(count, words)| format!("{count} {words}")).collect();
+    if list.is_empty() { String::new() } else { format!(": {}", list.join(", ")) }
+}
+
+fn hertz(rate_hz: f64) -> String {
+    if rate_hz >= 1000.0 { format!("{:.6} kHz", rate_hz / 1000.0) } else { format!("{rate_hz:.6} Hz") }
+        .replacen(".000000 ", " ", 1)
+}
+
+/// Nanoseconds in the unit that suits them.
+fn time(value_ns: Option<f64>) -> String {
+    let Some(ns) = value_ns else { return "–".to_owned() };
+    match ns.abs() {
+        a if a < 1e3 => format!("{ns:.0} ns"),
+        a if a < 1e6 => format!("{:.2} µs", ns / 1e3),
+        a if a < 1e9 => format!("{:.2} ms", ns / 1e6),
+        _ => format!("{:.2} s", ns / 1e9),
+    }
+}
+
+fn number(value: Option<f64>) -> String {
+    let Some(value) = value else { return "–".to_owned() };
+    let size = value.abs();
+    if size > 0.0 && !(1e-3..1e5).contains(&size) { format!("{value:.2e}") } else { format!("{value:.4}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::summary::MissingPrivilege;
+
+    fn full() -> Summary {
+        let mut summary =
+            Summary { links: 3, rate_hz: Some(1000.0), mode: "realtime".to_owned(), ..Summary::default() };
+        summary.verdict.status = "held".to_owned();
+        summary.ticks = 10_000;
+        summary.latency_ns.round_trip =
+            Quantiles { n: 9900, p50: Some(8_400.0), p99: Some(21_000.0), max: Some(1.5e6), ..Quantiles::default() };
+        summary.late_ticks_by_cause.insert("run_queue_delay".to_owned(), 7);
+        summary.processes = vec![crate::summary::ProcessSummary {
+            role: "plant".to_owned(),
+            missing: vec![MissingPrivilege {
+                step: "sched_fifo".to_owned(),
+                cost: "other processes can preempt the loop".to_owned(),
+                remedy: "`sudo prlimit --rtprio=99 --pid $$`, or run as root, or find an administrator who does so"
+                    .to_owned(),
+            }],
+            ..crate::summary::ProcessSummary::default()
+        }];
+        summary
+    }
+
+    #[test]
+    fn the_screen_begins_with_the_verdict_and_no_line_is_wider_than_asked() {
+        for width in [0, 60, 80, 100, 4000] {
+            let text = render(&full(), width, false);
+            assert!(text.starts_with("HELD: "), "{text}");
+            assert!(text.lines().all(|line| line.chars().count() <= width.clamp(60, 100)), "{text}");
+            assert!(!text.contains('\x1b'));
+        }
+        assert!(render(&full(), 100, true).starts_with("\x1b[1;32mHELD"));
+    }
+
+    #[test]
+    fn figures_appear_in_the_units_that_suit_them_and_absent_ones_as_a_dash() {
+        let text = render(&full(), 100, false);
+        let row = text.lines().find(|line| line.trim_start().starts_with("round trip")).unwrap();
+        let cells: Vec<&str> = row.split("  ").map(str::trim).filter(|cell| !cell.is_empty()).collect();
+        assert_eq!(cells, ["round trip", "8.40 µs", "21.00 µs", "–", "1.50 ms", "9900"]);
+        assert!(text.contains("7 run-queue delay") && text.contains("1 kHz"), "{text}");
+        assert!(text.contains("no sched_fifo: other processes can preempt the loop"), "{text}");
+    }
+}

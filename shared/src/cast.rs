@@ -1,0 +1,57 @@
+//! Which controllers a scenario has, and which swaps it schedules: the launcher and the single-process run must agree.
+
+use std::path::PathBuf;
+
+use crate::event::CommandKind;
+use crate::law::LawKind;
+use crate::sample::Command;
+use crate::scenario::Scenario;
+
+/// One controller of a scenario.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Part {
+    /// Its id; the first is in charge at the start.
+    pub id: u32,
+    /// Its law, where it is a built-in one.
+    pub law: LawKind,
+    /// A user's executable instead.
+    pub exe: Option<PathBuf>,
+}
+
+/// The controllers of a scenario, by id from 1: the one in charge, its standbys, and those of scheduled swaps, which
+/// start before tick 0 so that they are warm.
+#[must_use]
+pub fn controllers(scenario: &Scenario) -> Vec<Part> {
+    let own = &scenario.controller;
+    let mut parts: Vec<Part> =
+        (1..=1 + own.standby).map(|id| Part { id, law: own.law, exe: own.exe.clone() }).collect();
+    for (id, swap) in (2 + own.standby..).zip(scenario.swap.iter().filter(|swap| swap.to.is_none())) {
+        parts.push(Part { id, law: swap.law.unwrap_or(own.law), exe: swap.exe.clone() });
+    }
+    parts
+}
+
+/// What the plant is told before it starts: its members, the scheduled swaps, and the start itself, which appoints the
+/// first controller and ends the run before `stop_tick`.
+#[must_use]
+pub fn opening_commands(scenario: &Scenario, stop_tick: u64) -> Vec<Command> {
+    let command = |kind: CommandKind, controller: u32| Command { kind: kind.code(), controller, ..Command::zeroed() };
+    let mut commands: Vec<Command> =
+        controllers(scenario).iter().map(|part| command(CommandKind::AddMember, part.id)).collect();
+    let mut next_id = 2 + scenario.controller.standby;
+    for swap in &scenario.swap {
+        let to = swap.to.unwrap_or_else(|| {
+            next_id += 1;
+            next_id - 1
+        });
+        commands.push(Command {
+            // Tick 0 is no boundary to switch at, and means "as soon as possible" besides.
+            tick: swap.at.tick(scenario.period_ns()).max(1),
+            ns: swap.blend.unwrap_or(scenario.swap_gate.blend).ns(),
+            force: u64::from(swap.force),
+            ..command(CommandKind::Swap, to)
+        });
+    }
+    commands.push(Command { tick: stop_tick, ..command(CommandKind::Start, 1) });
+    commands
+}
