@@ -45,8 +45,7 @@ impl<C: Controller> ControllerCore<C> {
     #[must_use]
     pub fn announcement(&self, privileges: Privileges) -> Announce {
         let name = self.controller.name();
-        let mut ready =
-            role::announce(event::Role::Controller, self.id, Phase::Ready, self.links, privileges, name);
+        let mut ready = role::announce(event::Role::Controller, self.id, Phase::Ready, self.links, privileges, name);
         if let Some(claim) = self.controller.claim() {
             let place = LawKind::ALL.iter().position(|law| *law == claim.law).unwrap_or(0);
             ready.law = u32::try_from(place + 1).unwrap_or(0);

@@ -161,14 +161,8 @@ impl Authority {
         }
         if self.member(id).is_none() {
             let place = self.members.iter_mut().find(|m| m.is_none()).ok_or(Refusal::Busy)?;
-            *place = Some(Member {
-                id,
-                standing: Standing::Standby,
-                answer: None,
-                answered_ns: 0,
-                heard: false,
-                streak: 0,
-            });
+            *place =
+                Some(Member { id, standing: Standing::Standby, answer: None, answered_ns: 0, heard: false, streak: 0 });
             self.happen(HappeningKind::MemberAdded, id, 0, 0.0);
         }
         Ok(())
@@ -322,7 +316,8 @@ impl Authority {
         if !torque.tau.iter().all(|x| x.is_finite()) {
             return Acceptance::NotFinite;
         }
-        let on_time = arrived_ns <= grace_ns || (torque.published_ns <= grace_ns && member.standing != Standing::Active);
+        let on_time =
+            arrived_ns <= grace_ns || (torque.published_ns <= grace_ns && member.standing != Standing::Active);
         if on_time {
             member.streak = member.streak.saturating_add(1);
             if matches!(member.standing, Standing::Fenced { .. }) && member.streak >= READMIT_AFTER {
@@ -398,8 +393,7 @@ impl Authority {
     /// Whether the open tick can't count on its active controller any more.
     fn active_failed(&mut self) -> bool {
         let (active, passed) = (self.active, self.grace_passed);
-        self.decision.is_none()
-            && self.member(active).is_none_or(|m| m.answer.is_none() && (m.heard || passed))
+        self.decision.is_none() && self.member(active).is_none_or(|m| m.answer.is_none() && (m.heard || passed))
     }
 
     /// The first standby with a good torque for this very tick is obeyed from now on; the failed one is fenced.

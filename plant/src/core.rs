@@ -297,11 +297,8 @@ impl<const N: usize> PlantCore<N> {
             return;
         }
         self.advance(end_plant_ns);
-        let decision = self.authority.decision().unwrap_or(if self.rests {
-            Decision::Rest
-        } else {
-            self.fallback.decision()
-        });
+        let decision =
+            self.authority.decision().unwrap_or(if self.rests { Decision::Rest } else { self.fallback.decision() });
         if self.authority.decision().is_none() && !self.rests {
             let v = self.laws.robust_v(&self.record);
             self.fallback.unanswered(&self.record, v, &self.acting.tau);
@@ -373,7 +370,8 @@ impl<const N: usize> PlantCore<N> {
 
     /// With nobody answering for longer than the last torque may be held, the plant brakes by itself from s_k on.
     fn brake_if_lost(&mut self, tick: u64) {
-        let (measured_q, measured_v) = (to_vector::<N>(&self.record.q_measured), to_vector::<N>(&self.record.v_measured));
+        let (measured_q, measured_v) =
+            (to_vector::<N>(&self.record.q_measured), to_vector::<N>(&self.record.v_measured));
         let Some(tau) = self.fallback.brake(self.record.start_plant_ns, &measured_q, &measured_v) else { return };
         if let Some((rung, ticks)) = self.fallback.take_change() {
             self.authority.happen(HappeningKind::Fallback, rung.code(), ticks, 0.0);

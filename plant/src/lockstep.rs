@@ -127,20 +127,14 @@ fn gather<const N: usize>(
 pub fn open<const N: usize>(core: &mut PlantCore<N>, tick: u64, scenario: &Scenario) -> State {
     let t_k_ns = tick * scenario.period_ns();
     let grace_deadline_ns = t_k_ns + scenario.loop_.grace_ns();
-    let mut state =
-        core.open(Opening { tick, deadline_ns: t_k_ns, sampled_ns: t_k_ns, grace_deadline_ns, skipped: 0 });
+    let mut state = core.open(Opening { tick, deadline_ns: t_k_ns, sampled_ns: t_k_ns, grace_deadline_ns, skipped: 0 });
     state.published_ns = t_k_ns;
     core.stamp_published(t_k_ns, grace_deadline_ns);
     state
 }
 
 /// Applies the answers of a tick in the order of their virtual arrival, as the realtime loop would see them.
-pub fn judge<const N: usize>(
-    core: &mut PlantCore<N>,
-    answers: &mut [Torque],
-    tick: u64,
-    scenario: &Scenario,
-) {
+pub fn judge<const N: usize>(core: &mut PlantCore<N>, answers: &mut [Torque], tick: u64, scenario: &Scenario) {
     let t_k_ns = tick * scenario.period_ns();
     let (grace_ns, cutoff_ns) =
         (t_k_ns + scenario.loop_.grace_ns(), t_k_ns + scenario.period_ns() - scenario.loop_.lead_ns());

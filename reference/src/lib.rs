@@ -89,11 +89,8 @@ fn generate<const N: usize>(args: &RoleArgs, stop: &'static AtomicBool) -> Resul
     let entered = realtime::enter(&realtime::Request::default());
     let (block, scenario) = (&joined.block, &joined.scenario);
     let lockstep = scenario.loop_.mode == Mode::Lockstep;
-    let lead_ticks = if lockstep {
-        LOCKSTEP_LEAD_TICKS
-    } else {
-        scenario.setpoint_lead_ns().div_ceil(scenario.period_ns())
-    };
+    let lead_ticks =
+        if lockstep { LOCKSTEP_LEAD_TICKS } else { scenario.setpoint_lead_ns().div_ceil(scenario.period_ns()) };
     let stopped = || stop.load(Ordering::Relaxed) || block.pace().plant_ended.load(Ordering::Relaxed) != 0;
     let plant_tick = || block.pace().plant_tick.load(Ordering::Relaxed);
     // One that is started again goes on where the plant is.

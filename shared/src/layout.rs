@@ -150,8 +150,14 @@ macro_rules! layout_of {
 }
 use crate::realtime::{Evidence, Privileges, STEPS};
 layout_of!(Evidence {
-    run_delay_ns: u64, timeslices: u64, run_time_ns: u64, voluntary_switches: u64, involuntary_switches: u64,
-    minor_faults: u64, major_faults: u64, missing: u64,
+    run_delay_ns: u64,
+    timeslices: u64,
+    run_time_ns: u64,
+    voluntary_switches: u64,
+    involuntary_switches: u64,
+    minor_faults: u64,
+    major_faults: u64,
+    missing: u64,
 });
 layout_of!(Privileges { priority: u32, core: u32, steps: [u32; STEPS.len()] });
 

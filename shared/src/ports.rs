@@ -123,7 +123,10 @@ impl Node {
         Ok(Listener { port })
     }
 
-    fn event(&self, bell: &str) -> Result<iceoryx2::service::port_factory::event::PortFactory<ipc::Service>, PortError> {
+    fn event(
+        &self,
+        bell: &str,
+    ) -> Result<iceoryx2::service::port_factory::event::PortFactory<ipc::Service>, PortError> {
         self.node
             .service_builder(&self.service_name(bell)?)
             .event()
@@ -155,8 +158,7 @@ impl Node {
     /// # Errors
     /// If another process serves them already.
     pub fn command_server(&self) -> Result<CommandServer, PortError> {
-        let port =
-            self.commands()?.server_builder().create().map_err(|e| error(&self.group, "command server", e))?;
+        let port = self.commands()?.server_builder().create().map_err(|e| error(&self.group, "command server", e))?;
         Ok(CommandServer { port })
     }
 
@@ -165,8 +167,7 @@ impl Node {
     /// # Errors
     /// If there is no room.
     pub fn command_client(&self) -> Result<CommandClient, PortError> {
-        let port =
-            self.commands()?.client_builder().create().map_err(|e| error(&self.group, "command client", e))?;
+        let port = self.commands()?.client_builder().create().map_err(|e| error(&self.group, "command client", e))?;
         Ok(CommandClient { port, group: self.group.clone() })
     }
 

@@ -112,11 +112,7 @@ impl SetpointBook {
     pub fn at<const N: usize>(&self, tick: u64, offset_ns: u64) -> Option<Found<N>> {
         let found = self.at_links(tick, offset_ns)?;
         Some(Found {
-            value: SetpointValue {
-                q_d: to_vector(&found.q_d),
-                v_d: to_vector(&found.v_d),
-                a_d: to_vector(&found.a_d),
-            },
+            value: SetpointValue { q_d: to_vector(&found.q_d), v_d: to_vector(&found.v_d), a_d: to_vector(&found.a_d) },
             tick: found.tick,
             published_ns: found.published_ns,
             stale: found.stale,

@@ -1,0 +1,138 @@
+//! The documents say what the tree says: the code map of ARCHITECTURE.md, and the keys of docs/scenario.md.
+//!
+//! The map is made of the files' own first sentences. After a change, `UPDATE_DOCUMENTS=1 cargo test --test documents`
+//! writes it anew.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+const CRATES: [&str; 6] = ["shared/src", "plant/src", "controller/src", "reference/src", "monitor/src", "src"];
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn read(path: &Path) -> String {
+    std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// The entries of a folder in the order of their names; none if there is no such folder.
+fn entries(folder: &Path) -> Vec<PathBuf> {
+    let mut found: Vec<PathBuf> =
+        std::fs::read_dir(folder).into_iter().flatten().map(|entry| entry.expect("an entry").path()).collect();
+    found.sort();
+    found
+}
+
+fn is_rust(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "rs")
+}
+
+fn stem(path: &Path) -> &str {
+    path.file_stem().and_then(|stem| stem.to_str()).expect("a name in UTF-8")
+}
+
+/// The first sentence of a module's own description, without its full stop and without links.
+fn first_sentence(text: &str) -> String {
+    let lines = text.lines().map_while(|line| line.strip_prefix("//!")).map(str::trim);
+    let paragraph = lines.take_while(|line| !line.is_empty()).collect::<Vec<_>>().join(" ");
+    let end = paragraph.find(". ").unwrap_or(paragraph.len());
+    paragraph[..end].trim_end_matches('.').replace("[`", "`").replace("`]", "`")
+}
+
+/// The modules below a module's own folder, but for its tests, as paths without extension.
+fn parts(folder: &Path, prefix: &str, found: &mut Vec<String>) {
+    for path in entries(folder) {
+        let name = format!("{prefix}{}", stem(&path));
+        if path.is_dir() {
+            parts(&path, &format!("{name}/"), found);
+        } else if is_rust(&path) && !matches!(stem(&path), "tests" | "testing") {
+            found.push(name);
+        }
+    }
+}
+
+fn map_of(source: &str) -> String {
+    let mut map = format!("| `{source}/` | |\n|---|---|\n");
+    for path in entries(&root().join(source)).into_iter().filter(|path| is_rust(path)) {
+        let sentence = first_sentence(&read(&path));
+        assert!(!sentence.is_empty(), "{} does not say what it is responsible for", path.display());
+        let mut inside = Vec::new();
+        parts(&path.with_extension(""), "", &mut inside);
+        let inside = inside.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ");
+        let inside = if inside.is_empty() { inside } else { format!(" ({inside})") };
+        writeln!(map, "| `{}.rs` | {sentence}{inside} |", stem(&path)).expect("a string takes all");
+    }
+    map
+}
+
+#[test]
+fn the_code_map_lists_every_file_with_its_own_first_sentence() {
+    let file = root().join("ARCHITECTURE.md");
+    let written = read(&file);
+    let mut right = written.clone();
+    for source in CRATES {
+        let begin = format!("<!-- map: {source} -->\n");
+        let from = right.find(&begin).unwrap_or_else(|| panic!("no map of {source}")) + begin.len();
+        let to = from + right[from..].find("<!-- end of map -->").expect("the map ends");
+        right.replace_range(from..to, &map_of(source));
+    }
+    if std::env::var_os("UPDATE_DOCUMENTS").is_some() {
+        std::fs::write(&file, &right).expect("it can be written");
+    } else {
+        assert!(written == right, "the code map is out of date: UPDATE_DOCUMENTS=1 cargo test --test documents");
+    }
+}
+
+/// Keys with their default (`None`: derived, or none), by section.
+type Keys = BTreeMap<(String, String), Option<String>>;
+
+/// The keys of the paper's scenario, which names all there are (a test beside the keys checks that).
+fn keys_of_the_scenario() -> Keys {
+    let (mut keys, mut section) = (Keys::new(), String::new());
+    for line in read(&root().join("scenarios/paper.toml")).lines() {
+        let (off, line) = line.strip_prefix("# ").map_or((false, line), |line| (true, line));
+        if line.starts_with('[') {
+            section = line.split('#').next().unwrap_or(line).trim().to_owned();
+        } else if let Some((key, rest)) = line.split_once(" = ").filter(|_| !section.is_empty()) {
+            let default = rest.split(" #").next().unwrap_or(rest).trim().to_owned();
+            keys.entry((section.clone(), key.trim_matches('"').to_owned())).or_insert((!off).then_some(default));
+        }
+    }
+    keys
+}
+
+/// The rows of the tables in docs/scenario.md, below headings such as ``## `[loop]` ``.
+fn keys_of_the_document() -> Keys {
+    let (mut keys, mut section) = (Keys::new(), String::new());
+    for line in read(&root().join("docs/scenario.md")).lines() {
+        if let Some(heading) = line.strip_prefix("## ") {
+            section = heading.trim_matches('`').to_owned();
+        } else if let Some(row) = line.strip_prefix("| `") {
+            let mut cells = row.split(" | ");
+            let key = cells.next().expect("a first cell").trim_end_matches('`').to_owned();
+            let default = cells.next().expect("a second cell");
+            let literal = default.strip_prefix('`').and_then(|rest| rest.strip_suffix('`')).map(str::to_owned);
+            let twice = keys.insert((section.clone(), key.clone()), literal);
+            assert!(twice.is_none(), "{section} {key} stands twice");
+        }
+    }
+    keys
+}
+
+#[test]
+fn the_reference_of_keys_has_every_key_with_its_default() {
+    let mut document = keys_of_the_document();
+    for (place, default) in keys_of_the_scenario() {
+        // Keys of the summary are open: the scenario shows two of them.
+        if place.0 == "[expect]" && (place.1.contains('.') || place.1 == "missed_ticks") {
+            continue;
+        }
+        let found = document.remove(&place).unwrap_or_else(|| panic!("docs/scenario.md lacks {} {}", place.0, place.1));
+        if default.is_some() {
+            assert_eq!(found, default, "{} {}", place.0, place.1);
+        }
+    }
+    assert!(document.is_empty(), "no such keys: {document:?}");
+}

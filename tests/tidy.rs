@@ -1,0 +1,272 @@
+//! What holds of the whole tree and no compiler checks: who may depend on whom, and where delicate things may stand.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use toml::{Table, Value};
+
+/// Packages of the workspace, as folders below its root; the launcher is the root itself.
+const PROCESSES: [&str; 4] = ["plant", "controller", "reference", "monitor"];
+const CONTRACT: &str = "shared";
+
+/// Where code may be unsafe, each place with its proof: system calls, mapped memory, the plain-data promise of samples.
+const UNSAFE_ALLOWED: [&str; 4] =
+    ["shared/src/doorbell.rs", "shared/src/layout.rs", "shared/src/ports.rs", "shared/src/realtime/system.rs"];
+/// Where the transport may be named: `ports` uses it; the others only promise it that their types may be shared.
+const TRANSPORT_ALLOWED: [&str; 5] = [
+    "shared/src/ports.rs",
+    "shared/src/topics.rs",
+    "shared/src/layout.rs",
+    "shared/src/realtime/evidence.rs",
+    "shared/src/realtime/privileges.rs",
+];
+const CLOCK: &str = "shared/src/clock.rs";
+
+const LINES_MAX: usize = 600;
+/// Files that are longer, each with the reason: none so far.
+const LONGER: [&str; 0] = [];
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn read(path: &str) -> String {
+    std::fs::read_to_string(root().join(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
+}
+
+fn manifest(folder: &str) -> Table {
+    let path = format!("{folder}/Cargo.toml");
+    read(&path).parse().unwrap_or_else(|error| panic!("{path}: {error}"))
+}
+
+fn members() -> impl Iterator<Item = &'static str> {
+    [".", CONTRACT].into_iter().chain(PROCESSES)
+}
+
+/// The names in a dependency section; empty if there is no such section.
+fn names(manifest: &Table, section: &str) -> BTreeSet<String> {
+    manifest.get(section).and_then(Value::as_table).into_iter().flat_map(|table| table.keys().cloned()).collect()
+}
+
+/// Every Rust file below some folders of the root, by its path from the root.
+fn sources(folders: &[&str]) -> BTreeMap<String, String> {
+    let mut found = BTreeMap::new();
+    let mut open: Vec<PathBuf> =
+        folders.iter().map(|folder| root().join(folder)).filter(|path| path.exists()).collect();
+    while let Some(folder) = open.pop() {
+        for entry in std::fs::read_dir(&folder).expect("a folder of the tree can be listed") {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() {
+                open.push(path);
+            } else if path.extension().is_some_and(|extension| extension == "rs") {
+                let name = path.strip_prefix(root()).expect("it lies below the root").display().to_string();
+                found.insert(name.clone(), read(&name));
+            }
+        }
+    }
+    found
+}
+
+/// All Rust files of all members, tests and benches included.
+fn all_sources() -> BTreeMap<String, String> {
+    let found = sources(&[
+        "src",
+        "tests",
+        "benches",
+        "examples",
+        "shared/src",
+        "plant/src",
+        "controller/src",
+        "reference/src",
+        "monitor/src",
+    ]);
+    assert!(found.len() > 60, "only {} files: the tree is not where this test looks", found.len());
+    found
+}
+
+/// The code alone: comments and the insides of string literals become blanks, so that what is only talked about doesn't
+/// count. Lines stay lines.
+fn code_of(text: &str) -> String {
+    let chars: Vec<char> = text.chars().collect();
+    let mut code = String::with_capacity(text.len());
+    let mut at = 0;
+    while at < chars.len() {
+        let end = end_of_prose(&chars, at);
+        if end > at {
+            code.extend(chars[at..end].iter().map(|c| if *c == '\n' { '\n' } else { ' ' }));
+            at = end;
+        } else {
+            code.push(chars[at]);
+            at += 1;
+        }
+    }
+    code
+}
+
+/// Where the comment or literal that begins at `at` ends; `at` itself if none begins there.
+fn end_of_prose(chars: &[char], at: usize) -> usize {
+    let is = |i: usize, c: char| chars.get(i) == Some(&c);
+    let after = |from: usize, pattern: &[char]| {
+        let found = chars.get(from..).and_then(|rest| rest.windows(pattern.len()).position(|window| window == pattern));
+        found.map_or(chars.len(), |offset| from + offset + pattern.len())
+    };
+    match chars[at] {
+        '/' if is(at + 1, '/') => after(at, &['\n']) - usize::from(after(at, &['\n']) < chars.len()),
+        '/' if is(at + 1, '*') => after(at + 2, &['*', '/']),
+        '"' => {
+            let mut i = at + 1;
+            while i < chars.len() && chars[i] != '"' {
+                i += if chars[i] == '\\' { 2 } else { 1 };
+            }
+            (i + 1).min(chars.len())
+        }
+        'r' if at == 0 || !(chars[at - 1].is_alphanumeric() || chars[at - 1] == '_') => {
+            let hashes = chars[at + 1..].iter().take_while(|c| **c == '#').count();
+            if !is(at + 1 + hashes, '"') {
+                return at;
+            }
+            let mut close = vec!['"'];
+            close.extend(std::iter::repeat_n('#', hashes));
+            after(at + 2 + hashes, &close)
+        }
+        // A character, not a lifetime: the only literals that can hold a quote or a slash.
+        '\'' if is(at + 1, '\\') => after(at + 3, &['\'']),
+        '\'' if is(at + 2, '\'') => at + 3,
+        _ => at,
+    }
+}
+
+/// Whether `word` stands in `code` by itself, not as a part of a longer name.
+fn has_word(code: &str, word: &str) -> bool {
+    let joins = |c: Option<char>| c.is_some_and(|c| c.is_alphanumeric() || c == '_');
+    code.match_indices(word)
+        .any(|(at, _)| !joins(code[..at].chars().next_back()) && !joins(code[at + word.len()..].chars().next()))
+}
+
+/// The files whose code has any of `words`, but for those that may.
+fn offenders(words: &[&str], allowed: &[&str]) -> Vec<String> {
+    let has = |text: &str| words.iter().any(|word| has_word(&code_of(text), word));
+    all_sources()
+        .into_iter()
+        .filter(|(name, text)| !allowed.contains(&name.as_str()) && has(text))
+        .map(|(n, _)| n)
+        .collect()
+}
+
+const NONE: Vec<String> = Vec::new();
+
+#[test]
+fn a_process_depends_on_the_contract_and_on_no_other_member() {
+    for process in PROCESSES {
+        let manifest = manifest(process);
+        let ours: Vec<String> =
+            names(&manifest, "dependencies").into_iter().filter(|name| name.starts_with("loopbound")).collect();
+        assert_eq!(ours, ["loopbound-shared"], "{process}");
+        let in_tests = names(&manifest, "dev-dependencies");
+        assert!(!in_tests.iter().any(|name| name.starts_with("loopbound")), "{process}: its tests need nobody else");
+        assert!(!names(&manifest, "dependencies").contains("iceoryx2"), "{process}: the transport is the contract's");
+    }
+}
+
+#[test]
+fn the_contract_depends_on_no_member() {
+    let manifest = manifest(CONTRACT);
+    for section in ["dependencies", "dev-dependencies", "build-dependencies"] {
+        assert!(!names(&manifest, section).iter().any(|name| name.starts_with("loopbound")), "{section}");
+    }
+}
+
+#[test]
+fn every_dependency_of_the_workspace_is_used_by_a_member() {
+    let root = manifest(".");
+    let workspace = root["workspace"].as_table().expect("the root is the workspace");
+    let mut unused = names(workspace, "dependencies");
+    for member in members() {
+        let manifest = manifest(member);
+        for section in ["dependencies", "dev-dependencies", "build-dependencies"] {
+            unused.retain(|name| !names(&manifest, section).contains(name));
+        }
+    }
+    assert_eq!(unused, BTreeSet::new());
+}
+
+#[test]
+fn every_dependency_of_a_member_is_named_in_its_code() {
+    for member in members() {
+        let files = sources(&[&format!("{member}/src")]);
+        let code: String = files.values().map(|text| code_of(text)).collect();
+        for name in names(&manifest(member), "dependencies") {
+            assert!(has_word(&code, &name.replace('-', "_")), "{member} depends on {name} and never names it");
+        }
+    }
+}
+
+#[test]
+fn members_take_every_version_from_the_workspace() {
+    for member in members() {
+        let manifest = manifest(member);
+        for section in ["dependencies", "dev-dependencies", "build-dependencies"] {
+            let table = manifest.get(section).and_then(Value::as_table).cloned().unwrap_or_default();
+            for (name, value) in table {
+                let inherits = value.get("workspace").and_then(Value::as_bool);
+                assert_eq!(inherits, Some(true), "{member}: {name}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_transport_is_pinned_to_one_version() {
+    let root = manifest(".");
+    let pin = root["workspace"]["dependencies"]["iceoryx2"].as_str().expect("a version").to_owned();
+    let version = pin.strip_prefix('=').expect("an exact one");
+    assert_eq!(version.split('.').count(), 3, "`{pin}` leaves a part open");
+    assert!(read("Cargo.lock").contains(&format!("name = \"iceoryx2\"\nversion = \"{version}\"")));
+}
+
+#[test]
+fn nothing_that_picks_instructions_at_run_time_multiplies_matrices() {
+    assert!(!read("Cargo.lock").contains("name = \"matrixmultiply\""), "results would differ between machines");
+}
+
+#[test]
+fn only_the_clock_module_reads_clocks_or_sleeps() {
+    let words = ["Instant::now", "SystemTime::now", "thread::sleep", "clock_gettime", "clock_nanosleep"];
+    assert_eq!(offenders(&words, &[CLOCK]), NONE);
+}
+
+#[test]
+fn code_is_unsafe_in_the_listed_files_alone() {
+    assert_eq!(offenders(&["unsafe"], &UNSAFE_ALLOWED), NONE);
+    for file in UNSAFE_ALLOWED {
+        assert!(has_word(&code_of(&read(file)), "unsafe"), "{file} is not unsafe any more: strike it from the list");
+    }
+}
+
+#[test]
+fn the_processes_and_the_launcher_touch_the_transport_through_ports_alone() {
+    let in_benches = |name: &String| name.starts_with("benches/");
+    let found: Vec<String> =
+        offenders(&["iceoryx2"], &TRANSPORT_ALLOWED).into_iter().filter(|n| !in_benches(n)).collect();
+    assert_eq!(found, NONE);
+}
+
+#[test]
+fn files_stay_short_enough_to_read() {
+    let lines = |text: &str| text.lines().count();
+    let long: Vec<(String, usize)> = all_sources()
+        .into_iter()
+        .map(|(name, text)| (name, lines(&text)))
+        .filter(|(name, lines)| *lines > LINES_MAX && !LONGER.contains(&name.as_str()))
+        .collect();
+    assert_eq!(long, []);
+}
+
+#[test]
+fn words_in_comments_and_strings_are_not_code() {
+    let text = "// unsafe\nlet a = \"unsafe \\\" unsafe\"; /* unsafe */ let b = r#\"unsafe \" unsafe\"#;\nlet c = ('\"', '\\'', 'x');";
+    assert!(!has_word(&code_of(text), "unsafe"), "{}", code_of(text));
+    assert!(has_word(&code_of(&format!("{text} unsafe {{}}")), "unsafe"), "what follows the literals is code again");
+    assert!(!has_word("unsafe_code", "unsafe") && has_word("unsafe{", "unsafe"));
+    assert_eq!(code_of(text).lines().count(), text.lines().count());
+}
