@@ -190,13 +190,9 @@ pub struct ScenarioArgs {
 }
 
 /// Keeps the text, which goes into the scenario as it is, but refuses it here where the option can be named.
-fn checked<T, E: ToString>(
+fn checked<T: 'static, E: ToString + 'static>(
     parse: fn(&str) -> Result<T, E>,
-) -> impl Fn(&str) -> Result<String, String> + Clone + Send + Sync + 'static
-where
-    T: 'static,
-    E: 'static,
-{
+) -> impl Fn(&str) -> Result<String, String> + Clone + Send + Sync + 'static {
     move |text| parse(text).map(|_| text.to_owned()).map_err(|e| e.to_string())
 }
 

@@ -47,7 +47,6 @@ pub fn monitor(args: cli::MonitorArgs) -> anyhow::Result<Exit> {
         json: args.json,
         managed: args.managed,
         duration_ns: args.duration,
-        parent: None,
     };
     loopbound_monitor::run(&args, stop)?;
     Ok(Exit::Held)

@@ -165,9 +165,11 @@ layout_of!(Privileges { priority: u32, core: u32, steps: [u32; STEPS.len()] });
 mod tests {
     use super::Layout;
 
+    #[expect(unreachable_pub, dead_code, reason = "the macro makes public types")]
     mod a {
         wire! { pub struct Pair { pub x: f64, pub y: f64, } }
     }
+    #[expect(unreachable_pub, dead_code, reason = "the macro makes public types")]
     mod b {
         wire! { pub struct Pair { pub y: f64, pub x: f64, } }
     }

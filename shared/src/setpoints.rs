@@ -147,7 +147,7 @@ mod tests {
         assert!(book.at::<1>(3, 0).is_none());
         assert!(book.enter(&setpoint(1), 1));
         let exact = book.at::<1>(1, 0).unwrap();
-        assert!(!exact.stale && exact.value.q_d[0] == 1.0);
+        assert_eq!((exact.stale, exact.value.q_d[0]), (false, 1.0));
         let later = book.at::<1>(3, 0).unwrap();
         assert!(later.stale && later.tick == 1);
         assert_eq!((later.value.q_d[0], later.value.v_d[0]), (1.0 + 2.0 + 2.0, 6.0));
