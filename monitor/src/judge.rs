@@ -309,6 +309,10 @@ impl<const N: usize> Judge<N> {
     ) {
         let figures = &mut self.figures;
         let level = certificate.level;
+        // At rest the setpoint may not have come yet, and V says nothing of the law.
+        if record.flags & record_flag::AT_REST != 0 {
+            return;
+        }
         figures.v_start = figures.v_start.or(finite(v));
         figures.v_max = largest(figures.v_max, v);
         figures.v_final = finite(v);
