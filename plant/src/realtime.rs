@@ -12,7 +12,7 @@ use std::sync::atomic::Ordering;
 use loopbound_shared::clock;
 use loopbound_shared::realtime::EvidenceReader;
 use loopbound_shared::role;
-use loopbound_shared::sample::{State, record_flag, state_flag};
+use loopbound_shared::sample::{State, TickRecord, record_flag, state_flag};
 use loopbound_shared::scenario::Scenario;
 
 use crate::core::{Opening, PlantCore};
@@ -105,7 +105,8 @@ fn warm_up<const N: usize>(core: &mut PlantCore<N>, ports: &Ports, evidence: &mu
         });
         ports.state_bell.ring(block);
         ports.torque_bell.wait(block, now_ns, now_ns + 300_000, &mut 0, || ports.torques.take());
-        ports.records.send(loopbound_shared::sample::TickRecord::zeroed());
+        // Readers pass over a record without links.
+        ports.records.send(TickRecord::zeroed());
         ports.update_connections();
         std::hint::black_box(evidence.read());
     }
