@@ -20,7 +20,7 @@ use crate::clock;
 use crate::layout::{FNV_START, fnv1a};
 
 /// Processes of a group that can wait at a doorbell, each with a place of its own.
-pub const PLACES: usize = 32;
+pub const PLACES: usize = u32::BITS as usize;
 
 /// Which doorbell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,13 +34,14 @@ pub enum Bell {
 }
 
 const BELLS: usize = 3;
-const MAGIC: u64 = fnv1a(FNV_START, b"loopbound control block 1: bells 3, places 32, pace");
+const MAGIC: u64 = fnv1a(FNV_START, b"loopbound control block 2: bells 3, places 32, pace");
 
 #[repr(C, align(64))]
 struct BellWords {
     word: AtomicU32,
-    /// One mark a process, so that the mark of a killed waiter can be cleared without touching a live one's.
-    waiting: [AtomicU32; PLACES],
+    /// One bit a place, so that the mark of a killed waiter can be cleared without touching a live one's; in one word
+    /// beside the other, so that a ring looks at one cache line.
+    waiting: AtomicU32,
 }
 
 #[repr(C, align(64))]
@@ -152,7 +153,7 @@ impl ControlBlock {
         for (place, owner) in self.shared().places.iter().enumerate() {
             if owner.load(SeqCst) == pid {
                 for bell in &self.shared().bells {
-                    bell.waiting[place].store(0, SeqCst);
+                    bell.waiting.fetch_and(!(1 << place), SeqCst);
                 }
                 owner.store(0, SeqCst);
             }
@@ -163,7 +164,7 @@ impl ControlBlock {
     pub fn ring(&self, bell: Bell) {
         let bell = &self.shared().bells[bell as usize];
         bell.word.fetch_add(1, SeqCst);
-        if bell.waiting.iter().any(|mark| mark.load(SeqCst) != 0) {
+        if bell.waiting.load(SeqCst) != 0 {
             // A failed wake-up has no waiter to miss it; every wait has a timeout besides.
             let _ = futex::wake(&bell.word, futex::Flags::empty(), u32::MAX);
         }
@@ -172,8 +173,8 @@ impl ControlBlock {
     /// Looks by `look` until it finds something or the clock passes `until_ns`, sleeping at `bell` in between.
     pub fn wait<R>(&self, bell: Bell, until_ns: u64, mut look: impl FnMut() -> Option<R>) -> Option<R> {
         let bell = &self.shared().bells[bell as usize];
-        let mark = &bell.waiting[self.place];
-        mark.store(1, SeqCst);
+        let mark = 1 << self.place;
+        bell.waiting.fetch_or(mark, SeqCst);
         let found = loop {
             let seen = bell.word.load(SeqCst);
             if let Some(found) = look() {
@@ -186,7 +187,7 @@ impl ControlBlock {
             // Woken, changed, timed out or interrupted: in any case look again. The bitset form takes an absolute time.
             let _ = futex::wait_bitset(&bell.word, futex::Flags::empty(), seen, Some(&until), ANY);
         };
-        mark.store(0, SeqCst);
+        bell.waiting.fetch_and(!mark, SeqCst);
         found
     }
 }
