@@ -10,6 +10,7 @@
 //! | [`event`] | what is noted besides figures |
 //! | [`summary`], [`verdict`], [`render`] | the keys of `summary.json`, what they come to, one screen of text |
 //! | [`files`] | the files of a run, written by a thread of their own |
+//! | [`recording`] | `samples.mcap`: what viewers open and `replay` reads |
 //! | [`run`] | the process: attach, drain, report, leave |
 
 #![forbid(unsafe_code)]
@@ -23,6 +24,7 @@ pub mod jitter;
 pub mod judge;
 pub mod late;
 mod members;
+pub mod recording;
 pub mod render;
 mod run;
 pub mod summary;
