@@ -196,7 +196,7 @@ fn checked<T: 'static, E: ToString + 'static>(
     move |text| parse(text).map(|_| text.to_owned()).map_err(|e| e.to_string())
 }
 
-fn word<T: std::str::FromStr<Err: ToString>>(text: &str) -> Result<T, String> {
+pub(crate) fn word<T: std::str::FromStr<Err: ToString>>(text: &str) -> Result<T, String> {
     text.parse().map_err(|e: T::Err| e.to_string())
 }
 

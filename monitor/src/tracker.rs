@@ -8,6 +8,8 @@ use loopbound_shared::sample::{
     Announce, Counters, Happening, Links, Receipt, Segment, TickRecord, record_flag, to_vector,
 };
 
+use loopbound_shared::scenario::{Mode, Scenario};
+
 use crate::event::{Event, EventKind, EventLog};
 use crate::hops::Hops;
 use crate::jitter::JitterStatistics;
@@ -31,6 +33,21 @@ pub struct Config {
     pub finalise_ns: u64,
     /// Virtual time: there is no start-up, and no host.
     pub lockstep: bool,
+}
+
+impl Config {
+    /// What a scenario says.
+    #[must_use]
+    pub fn of(scenario: &Scenario) -> Self {
+        Self {
+            period_ns: scenario.period_ns(),
+            late_ns: scenario.loop_.late_ns(),
+            settle_ns: scenario.loop_.settle_ns(),
+            start_up_ns: scenario.loop_.start_up.ns(),
+            finalise_ns: scenario.monitor.finalise.ns(),
+            lockstep: scenario.loop_.mode == Mode::Lockstep,
+        }
+    }
 }
 
 /// What one record came to, for `samples.csv` and live views.
