@@ -4,7 +4,7 @@ use loopbound_shared::clock;
 use loopbound_shared::fault::FaultActions;
 use loopbound_shared::realtime::{Evidence, EvidenceReader};
 use loopbound_shared::role;
-use loopbound_shared::sample::{Setpoint, State, state_flag, torque_flag};
+use loopbound_shared::sample::{Setpoint, State, WARM_UP_TICK, state_flag, torque_flag};
 
 use crate::Controller;
 use crate::core::ControllerCore;
@@ -47,7 +47,7 @@ pub(crate) fn run<C: Controller>(
     let (mut active, mut gap_ns) = (false, 0);
     let mut next_ns = 0;
     while !stopped() {
-        let until_ns = clock::now_ns() + LOOK_NS;
+        let until_ns = clock::now_ns().max(next_ns) + LOOK_NS;
         let next_state = || ports.states.take();
         // Only the active controller spins: it wakes a little early and looks for the state from then on.
         let state = if active && ports.states_bell.is_time_triggered() {
@@ -82,6 +82,9 @@ pub(crate) fn run<C: Controller>(
         }
         let mut torque = core.answer(&state, &faults);
         torque.received_ns = received_ns;
+        if state.flags & state_flag::WARM_UP != 0 {
+            torque.tick = WARM_UP_TICK;
+        }
         torque.evidence = evidence_now;
         // The marker serves lockstep; here an answer that is withheld is simply not given.
         if torque.flags & torque_flag::WITHHELD == 0 {
@@ -89,7 +92,8 @@ pub(crate) fn run<C: Controller>(
             ports.torques.send(torque);
             ports.torque_bell.ring(block);
         }
-        (active, next_ns) = (state.active == id, state.deadline_ns + period_ns);
+        // A warm-up state says when the first one comes once that is known: before, there is no instant to spin for.
+        (active, next_ns) = (state.active == id && state.deadline_ns != 0, state.deadline_ns + period_ns);
         ports.drain_setpoints(&mut core.setpoints, links);
         ports.update_connections();
         evidence_now = evidence.read();
