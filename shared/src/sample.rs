@@ -138,6 +138,12 @@ pub mod torque_flag {
     pub const SETPOINT_STALE: u32 = 2;
     /// A fault was injected into this torque.
     pub const FAULT_INJECTED: u32 = 4;
+    /// Lockstep only: this torque counts as come twice (an injected fault). Two samples could arrive in two ticks.
+    pub const TWICE: u32 = 8;
+    /// Lockstep only: withheld in its tick, and counts as come in a later one (an injected fault).
+    pub const AFTER_ITS_TIME: u32 = 16;
+    /// Lockstep only: a stranger's torque counts as come beside this one (an injected fault).
+    pub const ROGUE: u32 = 32;
 }
 
 wire! {
