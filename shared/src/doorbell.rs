@@ -165,7 +165,7 @@ impl ControlBlock {
         bell.word.fetch_add(1, SeqCst);
         if bell.waiting.iter().any(|mark| mark.load(SeqCst) != 0) {
             // A failed wake-up has no waiter to miss it; every wait has a timeout besides.
-            let _ = futex::wake(&bell.word, futex::Flags::empty(), u32::MAX);
+            let _ = futex::wake(&bell.word, futex::Flags::empty(), EVERYONE);
         }
     }
 
@@ -192,6 +192,9 @@ impl ControlBlock {
 }
 
 const ANY: std::num::NonZeroU32 = std::num::NonZeroU32::MAX;
+
+/// The kernel takes the number of waiters to wake as a signed one, and `u32::MAX`, −1 to it, wakes a single waiter.
+const EVERYONE: u32 = i32::MAX.cast_unsigned();
 
 impl Drop for ControlBlock {
     fn drop(&mut self) {
@@ -232,6 +235,38 @@ mod tests {
                 plant.ring(Bell::State);
                 let seen = plant.wait(Bell::Torque, far_ns, || (answered.load(SeqCst) == k).then_some(()));
                 assert!(seen.is_some(), "torque {k} was not seen");
+            }
+        });
+    }
+
+    #[test]
+    fn one_ring_wakes_every_sleeper() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("bell");
+        let ringer = ControlBlock::create(&path).unwrap();
+        let (far_ns, rung) = (clock::now_ns() + 20_000_000_000, AtomicU64::new(0));
+        std::thread::scope(|scope| {
+            let sleepers: Vec<_> = (0..4)
+                .map(|_| {
+                    let (path, rung) = (&path, &rung);
+                    scope.spawn(move || {
+                        // Each as a process of its own would: with a place, and no look but those that a ring causes.
+                        let block = ControlBlock::open(path).unwrap();
+                        block.wait(Bell::State, far_ns, || (rung.load(SeqCst) != 0).then_some(clock::now_ns()))
+                    })
+                })
+                .collect();
+            let marks = &ringer.shared().bells[Bell::State as usize].waiting;
+            while marks.iter().filter(|mark| mark.load(SeqCst) != 0).count() < sleepers.len() {
+                clock::sleep_ns(1_000_000);
+            }
+            // Marked is not yet asleep, but nearly.
+            clock::sleep_ns(20_000_000);
+            rung.store(1, SeqCst);
+            ringer.ring(Bell::State);
+            for sleeper in sleepers {
+                let woken_ns = sleeper.join().unwrap();
+                assert!(woken_ns.is_some_and(|ns| ns < far_ns), "one of them slept until its timeout");
             }
         });
     }
