@@ -123,6 +123,11 @@ impl Case {
         (Node::open(&group).expect("a node in the group"), group)
     }
 
+    /// Whether any process lives that was started for this case's group.
+    pub fn is_mentioned(&self) -> bool {
+        !processes_that_mention(&self.group).is_empty()
+    }
+
     /// Asserts that nothing is left of `group` in memory and among the processes.
     pub fn assert_nothing_left_of(&self, group: &str) {
         let folder = self.folder.join(group);

@@ -4,9 +4,9 @@
 //! other), waits for nothing without an end, and leaves nothing behind: that is checked after every single one. No test
 //! asserts how long anything took on the clock, which is the machine's affair.
 
-#[path = "fold.rs"]
 mod fold;
-#[path = "harness.rs"]
 mod harness;
 
+mod deaths;
 mod lockstep;
+mod realtime;
