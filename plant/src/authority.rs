@@ -276,8 +276,8 @@ impl Authority {
 
     /// The grace deadline of the open tick has passed (once a tick): a standby takes over, or the tick is missed.
     pub fn grace_passed(&mut self, now_ns: u64) -> Option<Applied> {
-        self.grace_passed = true;
-        if self.decision.is_some() {
+        let said_before = std::mem::replace(&mut self.grace_passed, true);
+        if said_before || self.decision.is_some() {
             return None;
         }
         // In a blend the new controller's torque alone will do: the old one is on its way out.

@@ -10,3 +10,4 @@ mod harness;
 mod deaths;
 mod lockstep;
 mod realtime;
+mod usage;
