@@ -274,6 +274,12 @@ impl Authority {
         }
     }
 
+    /// Whether the grace deadline of the open tick lies before `now_ns` and nobody has said so yet.
+    #[must_use]
+    pub fn grace_ran_out(&self, now_ns: u64) -> bool {
+        !self.grace_passed && now_ns > self.grace_ns
+    }
+
     /// The grace deadline of the open tick has passed (once a tick): a standby takes over, or the tick is missed.
     pub fn grace_passed(&mut self, now_ns: u64) -> Option<Applied> {
         let said_before = std::mem::replace(&mut self.grace_passed, true);

@@ -165,6 +165,11 @@ impl<const N: usize> PlantCore<N> {
 
     /// Judges a torque that arrived at `arrived_ns`; if it is to act, it does so from there (plus the actuation delay).
     pub fn arrive(&mut self, torque: &Torque, arrived_ns: u64) {
+        // A loop that was kept from running finds the late torque before it has looked at the clock: the tick is missed
+        // all the same, and a standby that was in time goes first.
+        if self.authority.grace_ran_out(arrived_ns) {
+            self.grace_passed(arrived_ns);
+        }
         if let Some(applied) = self.authority.offer(torque, arrived_ns) {
             self.apply(&applied);
         }
