@@ -1,4 +1,8 @@
-//! Signals become flags that loops look at; nothing happens in a handler, and no thread waits for one.
+//! Signals become flags that loops look at; nothing else happens when one comes.
+//!
+//! The launcher takes Ctrl-C by `ctrlc`, which also covers systems without POSIX signals. SIGTERM and SIGHUP are taken
+//! apart from it, since the exit code tells the two kinds of ending apart. A role must not grow a thread, which `ctrlc`
+//! does: it registers plain flags.
 
 use std::io;
 use std::sync::Arc;
@@ -15,13 +19,16 @@ pub struct Stop {
 }
 
 impl Stop {
-    /// Catches Ctrl-C, SIGTERM and SIGHUP from here on.
+    /// Catches Ctrl-C, SIGTERM and SIGHUP from here on; once in a process.
     ///
     /// # Errors
     /// If the system refuses.
     pub fn install() -> io::Result<Self> {
         let stop = Self::default();
-        for signal in [SIGINT, SIGTERM, SIGHUP] {
+        let interrupted = Arc::clone(&stop.signal);
+        ctrlc::set_handler(move || interrupted.store(usize::try_from(SIGINT).unwrap_or(0), SeqCst))
+            .map_err(io::Error::other)?;
+        for signal in [SIGTERM, SIGHUP] {
             let number = usize::try_from(signal).unwrap_or(0);
             signal_hook::flag::register_usize(signal, Arc::clone(&stop.signal), number)?;
         }

@@ -92,6 +92,9 @@ pub fn serve(controller: impl Controller, args: &RoleArgs) -> Result<(), RoleErr
 /// # Errors
 /// If the group can't be joined.
 pub fn serve_until(controller: impl Controller, args: &RoleArgs, stop: &'static AtomicBool) -> Result<(), RoleError> {
+    if let Some(parent) = args.parent {
+        realtime::die_with_parent(parent).map_err(|e| RoleError::Other(format!("the launcher: {e}")))?;
+    }
     let ports = Ports::open(role::join(args)?)?;
     let scenario = ports.joined.scenario.clone();
     let mut core = ControllerCore::new(&scenario, args.id, controller);

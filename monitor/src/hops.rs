@@ -71,8 +71,9 @@ impl Hop {
             Self::StateToController => Some((record.published_ns, receipt.state_received_ns)),
             Self::Compute => Some((receipt.state_received_ns, receipt.torque_published_ns)),
             Self::ControllerToPlant => Some((receipt.torque_published_ns, receipt.arrived_ns)),
-            Self::RoundTrip => Some((record.published_ns, receipt.arrived_ns)),
-            Self::DeadlineToTorque => Some((record.deadline_ns, receipt.arrived_ns)),
+            // A standby's torque acts from the instant at which it took over, not from its arrival.
+            Self::RoundTrip => Some((record.published_ns, record.accepted_ns)),
+            Self::DeadlineToTorque => Some((record.deadline_ns, record.accepted_ns)),
             Self::SetpointAge => {
                 (receipt.setpoint_published_ns != 0).then_some((receipt.setpoint_published_ns, record.sampled_ns))
             }
@@ -151,6 +152,9 @@ impl Distribution {
     }
 }
 
+/// Skipped ticks of one overrun that are counted one by one: a number from another process must not hold this one up.
+const SKIPPED_MAX: u64 = 100_000;
+
 /// One distribution a hop.
 #[derive(Clone, Debug, Default)]
 pub struct Hops {
@@ -158,11 +162,17 @@ pub struct Hops {
 }
 
 impl Hops {
-    /// Counts all hops of one tick.
-    pub fn record(&mut self, record: &TickRecord, receipt: Option<&Receipt>) {
+    /// Counts the hops of one tick. The ticks skipped before it were intended too: each counts its own wait from its
+    /// own deadline, or an overrun would shorten the tail that it is the worst of (coordinated omission).
+    pub fn record(&mut self, record: &TickRecord, receipt: Option<&Receipt>, period_ns: u64) {
         for hop in Hop::ALL {
-            if let Some(stamps) = hop.stamps(record, receipt) {
-                self.distributions[hop as usize].record_between(stamps);
+            let Some(stamps) = hop.stamps(record, receipt) else { continue };
+            let distribution = &mut self.distributions[hop as usize];
+            distribution.record_between(stamps);
+            if matches!(hop, Hop::Wakeup | Hop::DeadlineToTorque) {
+                for skipped in 1..=record.skipped_before.min(SKIPPED_MAX) {
+                    distribution.record_between((stamps.0.saturating_sub(skipped * period_ns), stamps.1));
+                }
             }
         }
     }

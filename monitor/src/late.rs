@@ -83,7 +83,7 @@ impl Causes {
             let is_missed = is_missed(record);
             missed = missed.saturating_add(u64::from(is_missed));
             let deadline_to_torque_ns =
-                accepted(record).map_or(0, |receipt| receipt.arrived_ns.saturating_sub(record.deadline_ns));
+                accepted(record).map_or(0, |_| record.accepted_ns.saturating_sub(record.deadline_ns));
             let late = settled && deadline_to_torque_ns > config.late_ns;
             if late || is_missed {
                 self.open(config, record, clues, late, is_missed, deadline_to_torque_ns, events);

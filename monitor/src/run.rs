@@ -257,7 +257,8 @@ impl<'a, const N: usize> Watch<'a, N> {
     fn grant(&self) {
         if self.args.managed {
             let next = self.tracker.last_tick().map_or(0, |tick| tick.saturating_add(1));
-            self.joined.block.pace().credit.store(next.saturating_add(CREDIT_TICKS), SeqCst);
+            // One that was started again must not take back what its predecessor has granted.
+            self.joined.block.pace().credit.fetch_max(next.saturating_add(CREDIT_TICKS), SeqCst);
             self.joined.block.ring(Bell::Pace);
         }
     }

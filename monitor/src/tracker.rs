@@ -3,7 +3,7 @@
 //! Responsible for what a record means to each figure. What a late tick means is `late`'s, what V means is `judge`'s.
 //! Numbers from a record are never trusted: counts are clamped to their arrays and differences saturate.
 
-use loopbound_shared::event::Acceptance;
+use loopbound_shared::event::{Acceptance, Decision};
 use loopbound_shared::sample::{
     Announce, Counters, Happening, Links, Receipt, Segment, TickRecord, record_flag, to_vector,
 };
@@ -83,7 +83,8 @@ pub fn happenings(record: &TickRecord) -> &[Happening] {
     &record.happenings[..used.min(record.happenings.len())]
 }
 
-/// The receipt of the torque that was accepted for this tick: in time before late, the one in charge before others.
+/// The receipt of the torque that was accepted for this tick: in time before late, the one in charge before others,
+/// a standby's where it took over.
 #[must_use]
 pub fn accepted(record: &TickRecord) -> Option<&Receipt> {
     let with = |acceptance: Acceptance| {
@@ -91,7 +92,9 @@ pub fn accepted(record: &TickRecord) -> Option<&Receipt> {
         let first = found.clone().next();
         found.find(|receipt| receipt.writer == record.active).or(first)
     };
-    with(Acceptance::Applied).or_else(|| with(Acceptance::Late))
+    let standby = record.decision == Decision::Standby.code();
+    let taken_over = || if standby { with(Acceptance::Standby) } else { None };
+    with(Acceptance::Applied).or_else(|| with(Acceptance::Late)).or_else(taken_over)
 }
 
 /// Running figures of a group with N links.
@@ -155,14 +158,15 @@ impl<const N: usize> Tracker<N> {
 
     /// Takes the record of the next tick. None for one that is not newer than the last: it was counted already.
     pub fn feed(&mut self, record: &TickRecord) -> Option<Row> {
-        if !self.is_next(record) {
+        // The plant's warm-up records have no links; another number than the scenario's is no record of this group.
+        if record.links as usize != N || !self.is_next(record) {
             return None;
         }
         let settled = self.is_past_start_up(record);
         let receipt = accepted(record);
         if settled {
-            self.hops.record(record, receipt);
-            self.interval.record(record, receipt);
+            self.hops.record(record, receipt, self.config.period_ns);
+            self.interval.record(record, receipt, self.config.period_ns);
             self.jitter.record(record, self.config.period_ns);
         } else {
             self.seen.start_up += 1;

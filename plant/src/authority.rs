@@ -72,6 +72,7 @@ pub struct Authority {
     links: u32,
     decision: Option<Decision>,
     grace_passed: bool,
+    had_torque: bool,
     receipts: [Receipt; RECEIPTS_MAX],
     happenings: [Happening; HAPPENINGS_MAX],
     happenings_used: usize,
@@ -95,6 +96,7 @@ impl Authority {
             links: u32::try_from(links).unwrap_or(0),
             decision: None,
             grace_passed: false,
+            had_torque: false,
             receipts: [Receipt::zeroed(); RECEIPTS_MAX],
             happenings: [Happening::zeroed(); HAPPENINGS_MAX],
             happenings_used: 0,
@@ -390,7 +392,7 @@ impl Authority {
 
     fn settle(&mut self, decision: Decision, torque: &Torque, from_ns: u64) -> Applied {
         self.decision = Some(decision);
-        if self.counters.ticks == 0 && self.epoch == 1 {
+        if !std::mem::replace(&mut self.had_torque, true) {
             self.happen(HappeningKind::FirstTorque, torque.writer, 0, 0.0);
         }
         applied(torque, torque.tau, from_ns, self.epoch)

@@ -12,7 +12,7 @@ use std::sync::atomic::Ordering;
 use loopbound_shared::clock;
 use loopbound_shared::realtime::EvidenceReader;
 use loopbound_shared::role;
-use loopbound_shared::sample::{State, record_flag, state_flag};
+use loopbound_shared::sample::{State, TickRecord, record_flag, state_flag};
 use loopbound_shared::scenario::Scenario;
 
 use crate::core::{Opening, PlantCore};
@@ -76,12 +76,38 @@ pub(crate) fn run<const N: usize>(core: &mut PlantCore<N>, ports: &Ports, stoppe
     let times = Times::of(scenario, first_deadline(scenario));
     core.start_at(times.t_0_ns);
     let mut tick = 0;
+    let mut duty = Duty { awake_since_ns: clock::now_ns() };
     while !stopped() && orders.stop_at.is_none_or(|stop| tick < stop) {
+        duty.sleep_until(times.deadline_ns(tick) - times.lead_ns);
         tick = one_tick(core, ports, &times, tick, &mut evidence, &mut orders) + 1;
     }
     clock::sleep_until_ns(times.deadline_ns(tick));
     core.finish(clock::now_ns());
     publish_closed(core, ports);
+}
+
+/// Sees to it that this process sleeps now and then also when it is overloaded: a real-time thread that never does is
+/// stopped by the kernel for 50 ms every second, and ended by its own run-away guard after half a second.
+struct Duty {
+    awake_since_ns: u64,
+}
+
+impl Duty {
+    /// The longest time without sleep, and the sleep that is then forced; the ticks it costs are overruns.
+    const AWAKE_MAX_NS: u64 = 100_000_000;
+    const REST_NS: u64 = 15_000_000;
+
+    fn sleep_until(&mut self, deadline_ns: u64) {
+        let now_ns = clock::now_ns();
+        if deadline_ns > now_ns {
+            clock::sleep_until_ns(deadline_ns);
+        } else if now_ns - self.awake_since_ns > Self::AWAKE_MAX_NS {
+            clock::sleep_until_ns(now_ns + Self::REST_NS);
+        } else {
+            return;
+        }
+        self.awake_since_ns = clock::now_ns();
+    }
 }
 
 fn first_deadline(scenario: &Scenario) -> u64 {
@@ -105,7 +131,8 @@ fn warm_up<const N: usize>(core: &mut PlantCore<N>, ports: &Ports, evidence: &mu
         });
         ports.state_bell.ring(block);
         ports.torque_bell.wait(block, now_ns, now_ns + 300_000, &mut 0, || ports.torques.take());
-        ports.records.send(loopbound_shared::sample::TickRecord::zeroed());
+        // Readers pass over a record without links.
+        ports.records.send(TickRecord::zeroed());
         ports.update_connections();
         std::hint::black_box(evidence.read());
     }
@@ -124,7 +151,6 @@ fn one_tick<const N: usize>(
 ) -> u64 {
     let block = &ports.joined.block;
     let mut gap_ns = 0;
-    clock::sleep_until_ns(times.deadline_ns(tick) - times.lead_ns);
     let joined_ns = prepare(core, ports);
     let sampled_ns = wait_for_deadline(ports, times.deadline_ns(tick), &mut gap_ns);
     // An overrun: the ticks whose end has passed are skipped and counted, never published.

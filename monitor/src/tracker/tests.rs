@@ -165,6 +165,7 @@ fn the_plant_is_asked_for_what_happened_to_it_in_the_same_tick() {
         receipt.state_received_ns += 600_000;
         receipt.torque_published_ns += 600_000;
         receipt.arrived_ns += 600_000;
+        record.accepted_ns += 600_000;
         record.grace_deadline_ns += 600_000;
         record.evidence = evidence;
         record
