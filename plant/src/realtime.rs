@@ -145,7 +145,7 @@ fn exchange<const N: usize>(core: &PlantCore<N>, ports: &Ports, deadline_ns: u64
     ports.torque_bell.wait(block, now_ns, now_ns + 300_000, &mut 0, || ports.torques.take());
 }
 
-/// One tick; returns the tick that was run, which is later than `tick` after an overrun.
+/// One tick; returns the tick that was run or skipped last, which is later than `tick` after an overrun.
 fn one_tick<const N: usize>(
     core: &mut PlantCore<N>,
     ports: &Ports,
@@ -160,6 +160,11 @@ fn one_tick<const N: usize>(
     let sampled_ns = wait_for_deadline(ports, times.deadline_ns(tick), &mut gap_ns);
     // An overrun: the ticks whose end has passed are skipped and counted, never published.
     let skipped = (sampled_ns - times.deadline_ns(tick)) / times.period_ns;
+    if let Some(stop) = orders.stop_at.filter(|stop| tick + skipped >= *stop) {
+        // The overrun passed the end of the run: no tick is left to open.
+        core.count_skipped(stop - tick);
+        return stop - 1;
+    }
     let tick = tick + skipped;
     let mut state = core.open(Opening {
         tick,
@@ -217,14 +222,14 @@ fn await_torque<const N: usize>(
     gap_ns: &mut u64,
 ) {
     let block = &ports.joined.block;
-    for until_ns in [grace_deadline_ns, cutoff_ns] {
+    for (until_ns, at_grace) in [(grace_deadline_ns, true), (cutoff_ns, false)] {
         ports.torque_bell.wait(block, clock::now_ns(), until_ns, gap_ns, || {
             while let Some(torque) = ports.next_torque() {
                 core.arrive(&torque, clock::now_ns());
             }
             core.authority.is_settled().then_some(())
         });
-        if until_ns == grace_deadline_ns {
+        if at_grace {
             // Also when all is settled: the authority wants to know once a tick.
             core.grace_passed(clock::now_ns());
         }
