@@ -11,7 +11,7 @@ use loopbound_shared::role::RoleArgs;
 use loopbound_shared::scenario::{Mode, Scenario, Wakeup, parse_duration, parse_rate};
 
 use crate::exit::Exit;
-use crate::{bound, clean, doctor, model, pages, ps, roles, run};
+use crate::{bound, clean, doctor, model, pages, ps, replay, report, roles, run};
 
 /// kHz control loops split across processes over shared memory: latency measured to the nanosecond, and a Lyapunov
 /// bound checked live.
@@ -50,6 +50,20 @@ Examples:
   loopbound monitor --group lb-4711 --duration 5s --json
   loopbound monitor --group lb-4711 --out results")]
     Monitor(MonitorArgs),
+    /// Feed a recorded run to the same code again: identical to the bit, or what if.
+    #[command(after_help = "\
+Examples:
+  loopbound replay results                             states, torques, V and verdict again, bit for bit
+  loopbound replay results --law ctc                   what if another law had given the torques
+  loopbound replay results --set plant.mass_error=0.2 --json
+Exit codes: 0 identical; 1 it differs; 2 unreadable, or of another build; 3 records are missing, what is there agrees.")]
+    Replay(replay::ReplayArgs),
+    /// Write report.html of a recorded run again, or of two runs side by side.
+    #[command(after_help = "\
+Examples:
+  loopbound report results                             results/report.html
+  loopbound report before after --out compared.html    two runs side by side")]
+    Report(report::ReportArgs),
     /// List the running groups of this user and their processes.
     #[command(after_help = "Examples:\n  loopbound ps\n  loopbound ps --json")]
     Ps(JsonArgs),
@@ -265,6 +279,8 @@ fn dispatch(command: Command) -> anyhow::Result<Exit> {
     match command {
         Command::Run(args) => run::run(&args),
         Command::Monitor(args) => roles::monitor(args),
+        Command::Replay(args) => replay::run(&args),
+        Command::Report(args) => report::run(&args),
         Command::Ps(args) => ps::run(args.json),
         Command::Doctor(args) => doctor(args.json),
         Command::Clean => clean::run(),

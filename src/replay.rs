@@ -182,7 +182,7 @@ fn replay<const N: usize>(
                     break;
                 }
             }
-            Item::Figures { tick, v } => replay.compare_v(tick, v),
+            Item::Figures(figures) => replay.compare_v(figures.tick, figures.v),
         }
     }
     replay.report.cut_off = recording.is_cut_off();

@@ -9,13 +9,16 @@
 //! | [`swaps`] | changes of the controller in charge |
 //! | [`event`] | what is noted besides figures |
 //! | [`summary`], [`verdict`], [`render`] | the keys of `summary.json`, what they come to, one screen of text |
+//! | [`chart`] | pictures, as SVG and PNG |
 //! | [`files`] | the files of a run, written by a thread of their own |
 //! | [`recording`] | `samples.mcap`: what viewers open and `replay` reads |
+//! | [`report`] | `report.html`, the page of a run or of two |
 //! | [`run`] | the process: attach, drain, report, leave |
 
 #![forbid(unsafe_code)]
 
 pub mod cause;
+pub mod chart;
 pub mod event;
 pub mod files;
 pub mod hops;
@@ -26,6 +29,7 @@ pub mod late;
 mod members;
 pub mod recording;
 pub mod render;
+pub mod report;
 mod run;
 pub mod summary;
 pub mod swaps;

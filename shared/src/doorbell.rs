@@ -166,7 +166,7 @@ impl ControlBlock {
         bell.word.fetch_add(1, SeqCst);
         if bell.waiting.load(SeqCst) != 0 {
             // A failed wake-up has no waiter to miss it; every wait has a timeout besides.
-            let _ = futex::wake(&bell.word, futex::Flags::empty(), u32::MAX);
+            let _ = futex::wake(&bell.word, futex::Flags::empty(), ALL);
         }
     }
 
@@ -192,6 +192,8 @@ impl ControlBlock {
     }
 }
 
+/// As many waiters as there can be. The kernel counts in a signed number: `u32::MAX` would be −1, and wake one alone.
+const ALL: u32 = i32::MAX.cast_unsigned();
 const ANY: std::num::NonZeroU32 = std::num::NonZeroU32::MAX;
 
 impl Drop for ControlBlock {
@@ -233,6 +235,39 @@ mod tests {
                 plant.ring(Bell::State);
                 let seen = plant.wait(Bell::Torque, far_ns, || (answered.load(SeqCst) == k).then_some(()));
                 assert!(seen.is_some(), "torque {k} was not seen");
+            }
+        });
+    }
+
+    #[test]
+    fn one_ring_wakes_everyone_who_waits() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("bell");
+        let plant = ControlBlock::create(&path).unwrap();
+        let (round, seen) = (AtomicU64::new(0), AtomicU64::new(0));
+        let far_ns = clock::now_ns() + 60_000_000_000;
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                let block = ControlBlock::open(&path).unwrap();
+                let (round, seen) = (&round, &seen);
+                scope.spawn(move || {
+                    for k in 1..=100 {
+                        let woken = block.wait(Bell::State, far_ns, || (round.load(SeqCst) >= k).then_some(()));
+                        assert!(woken.is_some(), "round {k} was slept through");
+                        seen.fetch_add(1, SeqCst);
+                    }
+                });
+            }
+            for k in 1..=100 {
+                // Long enough that all four are asleep as a rule: then the ring alone can wake them.
+                clock::sleep_ns(300_000);
+                round.store(k, SeqCst);
+                plant.ring(Bell::State);
+                let all_ns = clock::now_ns() + 10_000_000_000;
+                while seen.load(SeqCst) < 4 * k {
+                    assert!(clock::now_ns() < all_ns, "one ring woke {} of 4", seen.load(SeqCst) - 4 * (k - 1));
+                    clock::sleep_ns(50_000);
+                }
             }
         });
     }

@@ -126,9 +126,7 @@ impl<const N: usize> Engine<N> {
             v: to_links(&self.state.v),
             q_measured: to_links(&q),
             v_measured: to_links(&v),
-            disturbance: to_links(
-                &self.truth.disturbance(loopbound_shared::clock::seconds(recorded.start_plant_ns)),
-            ),
+            disturbance: to_links(&self.truth.disturbance(loopbound_shared::clock::seconds(recorded.start_plant_ns))),
             ..*recorded
         };
         self.note_fade(recorded);

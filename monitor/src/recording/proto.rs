@@ -164,10 +164,24 @@ pub fn encode(out: &mut Vec<u8>, record: &TickRecord, row: &Row, links: usize) {
     debug_assert_eq!(encoder.number, FIELDS.len() as u64, "the encoder follows the table");
 }
 
-/// The tick and V of an encoded message, to compare with; none if the bytes are no such message.
+/// What a message says of V; what does not exist is NaN.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Figures {
+    /// The tick.
+    pub tick: u64,
+    /// V.
+    pub v: f64,
+    /// The right side of promise (a) from the tick before.
+    pub promised: f64,
+    /// c, the certified level.
+    pub level: f64,
+}
+
+/// The figures of an encoded message; none if the bytes are no such message.
 #[must_use]
-pub fn tick_and_v(message: &[u8]) -> Option<(u64, f64)> {
-    let (mut at, mut tick, mut v) = (0, None, None);
+pub fn figures(message: &[u8]) -> Option<Figures> {
+    let (mut at, mut tick) = (0, None);
+    let (mut v, mut promised, mut level) = (None, None, None);
     while at < message.len() {
         let key = read_varint(message, &mut at)?;
         let name = FIELDS.get(usize::try_from(key >> 3).ok()?.checked_sub(1)?)?.0;
@@ -179,7 +193,12 @@ pub fn tick_and_v(message: &[u8]) -> Option<(u64, f64)> {
             FIXED64 => {
                 let value = f64::from_le_bytes(message.get(at..at + 8)?.try_into().ok()?);
                 at += 8;
-                v = if name == "lyapunov" { Some(value) } else { v };
+                match name {
+                    "lyapunov" => v = Some(value),
+                    "lyapunov_promised" => promised = Some(value),
+                    "lyapunov_level" => level = Some(value),
+                    _ => {}
+                }
             }
             BYTES => {
                 let length = read_varint(message, &mut at)?;
@@ -188,7 +207,7 @@ pub fn tick_and_v(message: &[u8]) -> Option<(u64, f64)> {
             _ => return None,
         }
     }
-    Some((tick?, v?))
+    Some(Figures { tick: tick?, v: v?, promised: promised?, level: level? })
 }
 
 fn read_varint(bytes: &[u8], at: &mut usize) -> Option<u64> {

@@ -13,7 +13,8 @@ use loopbound_shared::sample::{Announce, TickRecord};
 use mcap::records::Record;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
-use super::{ABOUT, ANNOUNCES, RECORDS, TICKS, proto};
+use super::proto::{self, Figures};
+use super::{ABOUT, ANNOUNCES, RECORDS, TICKS};
 
 /// No record outside of chunks is longer, nor any chunk.
 const LENGTH_MAX: usize = 64 << 20;
@@ -68,13 +69,8 @@ pub enum Item {
     Record(Box<TickRecord>),
     /// What a process said of itself.
     Announce(Box<Announce>),
-    /// The figures of the record before: its tick and V (NaN where there was none).
-    Figures {
-        /// The tick.
-        tick: u64,
-        /// V.
-        v: f64,
-    },
+    /// The figures of the record before.
+    Figures(Figures),
 }
 
 #[derive(Clone, Copy, Default)]
@@ -192,8 +188,8 @@ fn look_at(channels: &mut Channels, record: Record<'_>) -> Result<Option<Found>,
                 let announce: Announce = from_bytes(&data).ok_or_else(|| bad("announcement"))?;
                 Some(Found::Item(Item::Announce(Box::new(announce))))
             } else if id == channels.ticks {
-                let (tick, v) = proto::tick_and_v(&data).ok_or_else(|| bad(proto::MESSAGE))?;
-                Some(Found::Item(Item::Figures { tick, v }))
+                let figures = proto::figures(&data).ok_or_else(|| bad(proto::MESSAGE))?;
+                Some(Found::Item(Item::Figures(figures)))
             } else {
                 None
             }

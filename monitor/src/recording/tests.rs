@@ -32,7 +32,7 @@ fn read(path: &Path) -> (Vec<TickRecord>, usize, bool) {
         match item {
             Item::Record(record) => records.push(*record),
             Item::Announce(announce) => announces += usize::from(announce.id == 9),
-            Item::Figures { tick, v } => assert!(v.is_nan() && tick + 1 == records.len() as u64),
+            Item::Figures(figures) => assert!(figures.v.is_nan() && figures.tick + 1 == records.len() as u64),
         }
     }
     (records, announces, recording.is_cut_off())
