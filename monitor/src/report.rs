@@ -33,7 +33,7 @@ pub struct Run {
     pub events: Vec<Value>,
     /// Lines beyond what a page shows.
     pub events_left_out: u64,
-    /// Over time: q, q_d, e (rad) and τ (N·m) of each link, then V, the promised V, its certified level, round trip (ns).
+    /// Over time: q, q_d, e (rad) and τ (N·m) of each link, then V, the promised V, its certified level, round trip (µs).
     series: Decimated,
     /// Whether the recording was cut off, or why there is none.
     pub recording: String,
@@ -110,7 +110,7 @@ fn push(series: &mut Decimated, links: usize, record: &TickRecord, figures: &Fig
     let vectors = vectors.into_iter().flat_map(|values| values.iter().take(links).map(|value| Some(*value)));
     let receipt = accepted(record);
     let trip_ns = Hop::RoundTrip.stamps(record, receipt).and_then(|(from_ns, to_ns)| to_ns.checked_sub(from_ns));
-    let scalars = [Some(figures.v), Some(figures.promised), Some(figures.level), trip_ns.map(|ns| ns as f64)];
+    let scalars = [Some(figures.v), Some(figures.promised), Some(figures.level), trip_ns.map(|ns| ns as f64 * 1e-3)];
     series.push(record.start_plant_ns as f64 * 1e-9, vectors.chain(scalars));
 }
 

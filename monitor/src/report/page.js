@@ -1,7 +1,7 @@
 'use strict';
 // Draws what the data element holds. All charts over time share one interval: dragging across one zooms all.
 const RUNS = JSON.parse(document.getElementById('data').textContent).runs;
-const WIDTH = 1100, LEFT = 62, RIGHT = 14, TOP = 10, BOTTOM = 24;
+const WIDTH = RUNS.length > 1 ? 720 : 1100, LEFT = 62, RIGHT = 14, TOP = 10, BOTTOM = 24;
 const HOPS = ['wakeup', 'state_to_controller', 'compute', 'controller_to_plant', 'round_trip', 'deadline_to_torque'];
 const CAUSES = { run_queue_delay: 1, involuntary_switch: 4, page_fault: 3, timer_or_host: 0, own_overrun: 6, controller_late: 2,
   controller_dead: 3, injected_fault: 5, setpoint_stale: 4, monitor_joined: 7, unknown: 7 };
@@ -18,7 +18,7 @@ const words = name => esc(String(name).replace(/_/g, ' '));
 function number(x, digits = 4) {
   if (x === null || x === undefined || !Number.isFinite(x)) return '–';
   const size = Math.abs(x);
-  if (x !== 0 && (size < 1e-3 || size >= 1e6)) return x.toExponential(2);
+  if (x !== 0 && (size < 1e-3 || size >= 1e6)) return x.toExponential(Math.min(digits, 3) - 1).replace(/\.?0+e/, 'e').replace('e+', 'e').replace(/^1e/, '10^');
   return String(+x.toPrecision(digits));
 }
 function duration(ns) {
@@ -39,10 +39,10 @@ function show(from, to) {
   if (to - from < least) return;
   shown = [Math.max(from, WHOLE[0]), Math.min(to, WHOLE[1])];
   redraws.forEach(draw => draw());
-  document.querySelectorAll('.interval').forEach(el => { el.textContent = `${number(shown[0])} s to ${number(shown[1])} s`; });
+  document.querySelectorAll('.interval').forEach(el => { el.textContent = `${(+shown[0].toFixed(6))} s to ${(+shown[1].toFixed(6))} s`; });
 }
 
-function ticksOf(low, high, log) {
+function ticksOf(low, high, log, pieces = 6) {
   const found = [];
   if (log) {
     for (let e = Math.floor(Math.log10(low)); e <= Math.ceil(Math.log10(high)); e++) {
@@ -54,7 +54,7 @@ function ticksOf(low, high, log) {
     }
     return found;
   }
-  const raw = (high - low) / 6, power = 10 ** Math.floor(Math.log10(raw));
+  const raw = (high - low) / pieces, power = 10 ** Math.floor(Math.log10(raw));
   const step = power * [1, 2, 5, 10].find(m => m * power >= raw);
   for (let k = Math.ceil(low / step); k * step <= high + step * 1e-9; k++) found.push(Math.abs(k * step) < step * 1e-9 ? 0 : k * step);
   return found;
@@ -69,7 +69,7 @@ function frame(box, height, [x0, x1], [y0, y1], { xLog, yLog, xName, yName, xTex
   for (const v of ticksOf(y0, y1, yLog)) {
     svg += `<line class="grid" x1="${LEFT}" x2="${WIDTH - RIGHT}" y1="${y(v)}" y2="${y(v)}"/><text x="${LEFT - 6}" y="${y(v) + 4}" text-anchor="end">${number(v)}</text>`;
   }
-  for (const v of ticksOf(x0, x1, xLog)) {
+  for (const v of ticksOf(x0, x1, xLog, WIDTH / 110)) {
     svg += `<line class="grid" x1="${x(v)}" x2="${x(v)}" y1="${TOP}" y2="${height - BOTTOM}"/><text x="${x(v)}" y="${height - 8}" text-anchor="middle">${xText ? xText(v) : number(v)}</text>`;
   }
   svg += `<text x="${WIDTH - RIGHT}" y="${height - BOTTOM - 5}" text-anchor="end">${esc(xName)}</text><text x="${LEFT + 5}" y="${TOP + 11}">${esc(yName)}</text>`;
@@ -138,7 +138,7 @@ function overTime(run, { height = 210, unit, lines, dots = [], marks = [], yLog 
     let a = 0, b = t_s.length - 1;
     while (a < b) { const m = (a + b + 1) >> 1; if (t_s[m] <= t) a = m; else b = m - 1; }
     const near = (shown[1] - shown[0]) / 150;
-    const rows = [`t = ${number(t, 6)} s`];
+    const rows = [`t = ${+t.toFixed(6)} s`];
     for (const line of lines) if (t_s.length && low[line.at][a] !== null) {
       const [l, h] = [low[line.at][a], high[line.at][a]];
       rows.push(`${line.name}: ${l === h ? number(l) : `${number(l)} … ${number(h)}`}`);
@@ -198,7 +198,7 @@ const add = (parent, html) => { parent.insertAdjacentHTML('beforeend', html); re
 const legend = lines => `<div class="legend">${lines.map(l => `<span><i class="${l.dash ? 'dash' : ''}" style="border-color:${l.colour}"></i>${esc(l.name)}</span>`).join('')}</div>`;
 function table(head, rows) {
   const cell = (tag, v) => `<${tag}${typeof v === 'number' || /^[-–\d]/.test(v) ? ' class="n"' : ''}>${typeof v === 'number' ? number(v) : v}</${tag}>`;
-  return `<div class="scroll"><table><tr>${head.map(h => `<th>${h}</th>`).join('')}</tr>${rows.map(r => `<tr>${r.map(v => cell('td', v)).join('')}</tr>`).join('')}</table></div>`;
+  return `<div class="scroll"><table><tr>${head.map((h, i) => `<th${rows.length && /^[-–\d]/.test(rows[0][i]) ? ' class="n"' : ''}>${h}</th>`).join('')}</tr>${rows.map(r => `<tr>${r.map(v => cell('td', v)).join('')}</tr>`).join('')}</table></div>`;
 }
 const facts = rows => table(['', ''], rows.map(([k, v]) => [words(k), esc(typeof v === 'object' ? JSON.stringify(v) : v)]));
 
@@ -272,8 +272,8 @@ function latency(run, at) {
   add(at, table(['hop', 'n', 'p50', 'p90', 'p99', 'p99.9', 'max'], HOPS.filter(h => q[h]?.n).map(h => [words(h), String(q[h].n), ...['p50', 'p90', 'p99', 'p99_9', 'max'].map(k => duration(q[h][k]))])));
 }
 function trips(run, at) {
-  const line = { name: 'round trip, ns', at: 4 * (run.summary.links ?? 0) + 3, colour: colour(4) };
-  at.append(overTime(run, { unit: 'ns (log)', lines: [line], marks: marksOf(run), yLog: true, height: 180 }));
+  const line = { name: 'round trip, µs', at: 4 * (run.summary.links ?? 0) + 3, colour: colour(4) };
+  at.append(overTime(run, { unit: 'µs (log)', lines: [line], marks: marksOf(run), yLog: true, height: 180 }));
 }
 function late(run, at) {
   const found = run.events.filter(e => e.kind === 'late' || e.kind === 'missed');
@@ -285,7 +285,7 @@ function late(run, at) {
 }
 function happened(run, at) {
   const left = run.events_left_out ? `<p class="note">${run.events_left_out} more in events.jsonl.</p>` : '';
-  add(at, `<details open><summary>Events (${run.events.length})</summary>${table(['tick', 't, s', 'kind', 'what'], run.events.slice(0, 500).map(e => [e.tick, number(e.t_s, 6), words(e.kind), esc(describe(e).replace(/^tick \d+: [^,]*,? ?/, ''))]))}${left}</details>`);
+  add(at, `<details open><summary>Events (${run.events.length})</summary>${table(['tick', 't, s', 'kind', 'what'], run.events.slice(0, 500).map(e => [e.tick, (e.t_s ?? 0).toFixed(6), words(e.kind), esc(describe(e).replace(/^tick \d+: [^,]*,? ?/, ''))]))}${left}</details>`);
 }
 function machine(run, at) {
   const s = run.summary;
