@@ -41,6 +41,7 @@ Examples:
   loopbound run --rate 2kHz --law ctc --duration 30s   another law, faster, longer
   loopbound run --set plant.mass_error=0.1             any key of the scenario
   loopbound run scenarios/ci.toml --json --out results one JSON document, and all files of the run
+  loopbound run --tui --duration 60s                   live on the terminal
   loopbound run --mode lockstep                        virtual time, as fast as the machine allows")]
     Run(run::RunArgs),
     /// Watch a running group; attach and detach at any time.
@@ -48,7 +49,8 @@ Examples:
 Examples:
   loopbound monitor --group lb-4711                    until the group ends or Ctrl-C, then a report
   loopbound monitor --group lb-4711 --duration 5s --json
-  loopbound monitor --group lb-4711 --out results")]
+  loopbound monitor --group lb-4711 --out results
+  loopbound monitor --group lb-4711 --tui              live on the terminal")]
     Monitor(MonitorArgs),
     /// Feed a recorded run to the same code again: identical to the bit, or what if.
     #[command(after_help = "\
@@ -161,6 +163,9 @@ pub struct MonitorArgs {
     /// Print one JSON document instead of the report.
     #[arg(long)]
     pub json: bool,
+    /// Draw the group on the terminal instead: chain, V and its bounds, latencies, events.
+    #[arg(long, conflicts_with_all = ["out", "json"])]
+    pub tui: bool,
     /// How long to watch (such as 5s); default until the group ends.
     #[arg(long, value_parser = parse_duration, value_name = "TIME")]
     pub duration: Option<u64>,

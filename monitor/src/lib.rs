@@ -13,6 +13,7 @@
 //! | [`files`] | the files of a run, written by a thread of their own |
 //! | [`recording`] | `samples.mcap`: what viewers open and `replay` reads |
 //! | [`report`] | `report.html`, the page of a run or of two |
+//! | [`tui`] | the live view on a terminal |
 //! | [`run`] | the process: attach, drain, report, leave |
 
 #![forbid(unsafe_code)]
@@ -36,6 +37,7 @@ pub mod swaps;
 #[cfg(test)]
 mod testing;
 pub mod tracker;
+pub mod tui;
 pub mod verdict;
 
 pub use render::render;
