@@ -10,4 +10,5 @@ mod harness;
 mod deaths;
 mod lockstep;
 mod realtime;
+mod recording;
 mod usage;
