@@ -76,8 +76,16 @@ function frame(box, height, [x0, x1], [y0, y1], { xLog, yLog, xName, yName, xTex
   return { svg, x, y };
 }
 
+// The intervals of a run that are shown.
+function visible({ series: { t_s } }) {
+  let from = 0, to = t_s.length;
+  while (from < to - 1 && t_s[from + 1] < shown[0]) from++;
+  while (to > from + 1 && t_s[to - 2] > shown[1]) to--;
+  return [from, to];
+}
+
 // A chart over time. `lines`: {name, at: series, colour, dash}; `dots`: {t, y, colour, text}; `marks`: {t, colour, text}.
-function overTime(run, { height = 210, unit, lines, dots = [], marks = [], yLog = false, range, pin = [] }) {
+function overTime(run, { height = 210, unit, lines, dots = [], marks = [], yLog = false }) {
   const box = document.createElement('div');
   box.className = 'chart';
   const { t_s, low, high } = run.series;
@@ -87,14 +95,15 @@ function overTime(run, { height = 210, unit, lines, dots = [], marks = [], yLog 
   }
   let view;
   function draw() {
-    let from = 0, to = t_s.length;
-    while (from < to - 1 && t_s[from + 1] < shown[0]) from++;
-    while (to > from + 1 && t_s[to - 2] > shown[1]) to--;
-    let [y0, y1] = range ? range(shown) : [Infinity, -Infinity];
+    const [from, to] = visible(run);
+    let [y0, y1] = [Infinity, -Infinity];
     const see = v => { if (v !== null && (!yLog || v > 0)) { y0 = Math.min(y0, v); y1 = Math.max(y1, v); } };
-    for (const line of lines) for (let k = from; k < to; k++) { see(low[line.at][k]); see(high[line.at][k]); }
+    // Runs of the same robot share the scale of each chart, so that they can be compared by eye.
+    for (const other of RUNS) if (other.summary.links === run.summary.links) {
+      const [a, b] = visible(other), series = other.series;
+      for (const line of lines) for (let k = a; k < b; k++) { see(series.low[line.at][k]); see(series.high[line.at][k]); }
+    }
     for (const dot of dots) if (dot.t >= shown[0] && dot.t <= shown[1]) see(dot.y);
-    pin.forEach(see);
     if (!(y0 <= y1)) { y0 = yLog ? 1 : 0; y1 = yLog ? 10 : 1; }
     if (yLog) { y0 = y0 / 1.3; y1 = y1 * 1.3; } else { const pad = (y1 - y0 || Math.abs(y1) || 1) * 0.06; y0 -= pad; y1 += pad; }
     const { svg, x, y } = frame(box, height, shown, [y0, y1], { yLog, xName: 's', yName: unit });
@@ -228,12 +237,13 @@ function head(run, at) {
 }
 const marksOf = run => run.events.filter(e => e.kind in MARKED || (e.kind === 'missed' && e.cause === 'injected_fault'))
   .map(e => ({ t: e.t_s, colour: colour(MARKED[e.kind] ?? 5), text: describe(e) }));
+const kinds = run => [...new Set(run.events.filter(e => e.kind in MARKED).map(e => e.kind))].map(kind => ({ name: kind, dash: true, colour: colour(MARKED[kind]) }));
 const perLink = (run, group, name, more = {}) => Array.from({ length: run.summary.links ?? 0 }, (_, i) =>
   ({ name: `${name}${i + 1}`, at: group * run.summary.links + i, colour: colour(i), ...more }));
 
 function tracking(run, at) {
   const lines = [...perLink(run, 1, 'wanted q', { dash: '5 4' }), ...perLink(run, 0, 'q')];
-  add(at, legend(lines));
+  add(at, legend([...lines, ...kinds(run)]));
   at.append(overTime(run, { unit: 'rad', lines, marks: marksOf(run), height: 230 }));
 }
 function errors(run, at) {
