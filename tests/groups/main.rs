@@ -7,7 +7,9 @@
 mod fold;
 mod harness;
 
+mod attached;
 mod deaths;
 mod lockstep;
 mod realtime;
+mod strangers;
 mod usage;
