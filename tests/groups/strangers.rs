@@ -142,7 +142,7 @@ fn a_publisher_of_another_layout_is_refused_by_the_transport() {
         .subscriber_max_buffer_size(Torque::DEPTH)
         .history_size(Torque::HISTORY)
         .open_or_create();
-    let refused = format!("{:?}", refused.err().expect("another layout must not be let in"));
+    let refused = format!("{:?}", refused.expect_err("another layout must not be let in"));
     assert!(refused.contains("IncompatibleTypes"), "{refused}");
     // The same builder with the true type is let in, so it was the layout.
     let let_in = foreign
