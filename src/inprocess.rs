@@ -72,8 +72,7 @@ impl<const N: usize> InProcess<N> {
                 continue;
             }
             let mut torque = controller.answer(&state, &faults);
-            torque.received_ns = state.published_ns;
-            torque.published_ns = state.published_ns + torque.virtual_delay_ns;
+            controller.stamp_virtually(&state, &mut torque);
             self.answers.push(torque);
         }
         for id in killed {

@@ -62,8 +62,8 @@ pub struct PlantCore<const N: usize> {
     record: Box<TickRecord>,
     closed: Box<TickRecord>,
     has_closed: bool,
-    /// V at the start of the open tick, while a switch is being watched.
-    watched_v: Option<f64>,
+    /// V at the start of the open tick, and in whose law, while a switch is being watched.
+    watched_v: Option<(u32, f64)>,
 }
 
 impl<const N: usize> PlantCore<N> {
@@ -103,7 +103,8 @@ impl<const N: usize> PlantCore<N> {
 
     /// Learns which law a controller claims to be.
     pub fn learn(&mut self, announce: &loopbound_shared::sample::Announce) {
-        self.laws.learn(announce);
+        let authority = &self.authority;
+        self.laws.learn(announce, |id| authority.member_ids().any(|member| member == id));
     }
 
     /// Closes the tick before, changes authority where that is due, and opens a tick: what is to be published.
@@ -165,11 +166,6 @@ impl<const N: usize> PlantCore<N> {
 
     /// Judges a torque that arrived at `arrived_ns`; if it is to act, it does so from there (plus the actuation delay).
     pub fn arrive(&mut self, torque: &Torque, arrived_ns: u64) {
-        // A loop that was kept from running finds the late torque before it has looked at the clock: the tick is missed
-        // all the same, and a standby that was in time goes first.
-        if self.authority.grace_ran_out(arrived_ns) {
-            self.grace_passed(arrived_ns);
-        }
         if let Some(applied) = self.authority.offer(torque, arrived_ns) {
             self.apply(&applied);
         }
@@ -228,9 +224,12 @@ impl<const N: usize> PlantCore<N> {
         let done = Reply { kind: ReplyKind::Done.code(), tick: self.authority.tick(), ..Reply::zeroed() };
         let outcome = match CommandKind::from_code(command.kind) {
             Some(CommandKind::AddMember) => self.authority.add(command.controller),
-            Some(CommandKind::RemoveMember) => self.authority.remove(command.controller),
+            Some(CommandKind::RemoveMember) => {
+                self.laws.forget(command.controller);
+                self.authority.remove(command.controller)
+            }
             Some(CommandKind::Swap) => return self.authority.request_swap(command),
-            Some(CommandKind::SwapStatus) => return self.authority.swap_status(),
+            Some(CommandKind::SwapStatus) => return self.authority.swap_status(command.controller),
             Some(CommandKind::Start | CommandKind::StopAt) | None => Err(Refusal::BadCommand),
         };
         outcome.map_or_else(Authority::refused, |()| done)
@@ -246,7 +245,9 @@ impl<const N: usize> PlantCore<N> {
         }
         record.accepted_ns = applied.from_ns;
         [record.used_q_d, record.used_v_d, record.used_a_d] = applied.setpoint;
-        self.fallback.answered();
+        if let Some(ticks) = self.fallback.answered() {
+            self.authority.happen(HappeningKind::Fallback, Decision::Active.code(), ticks, 0.0);
+        }
         self.enqueue(Segment {
             from_plant_ns: applied.from_ns - self.t_0_ns + self.actuation_delay_ns,
             answered_tick: tick,
@@ -400,7 +401,8 @@ impl<const N: usize> PlantCore<N> {
         });
     }
 
-    /// Promise (a) over the tick that was just closed; looked at only while a switch is being watched.
+    /// Promise (a) over the tick that was just closed; looked at only while a switch is being watched. It is the
+    /// promise of one law whose torque acts in time: a cross-fade, a late torque and a second switch promise nothing.
     fn promise_held(&mut self, tick: u64) -> bool {
         if self.authority.watch.is_none() {
             self.watched_v = None;
@@ -409,9 +411,12 @@ impl<const N: usize> PlantCore<N> {
         let active = self.authority.active().0;
         let setpoint = self.setpoint_value(tick, self.plant_offset(tick));
         let Some((certificate, v)) = self.laws.v_of(active, &self.state, &setpoint) else { return true };
-        let before = self.watched_v.replace(v);
+        let before = self.watched_v.replace((active, v)).filter(|(of, _)| *of == active);
         let h_ns = self.closed.end_plant_ns - self.closed.start_plant_ns;
-        before.is_none_or(|before| before > certificate.level || Laws::<N>::promise_holds(certificate, before, v, h_ns))
+        self.closed.decision != Decision::Active.code()
+            || before.is_none_or(|(_, before)| {
+                before > certificate.level || Laws::<N>::promise_holds(certificate, before, v, h_ns)
+            })
     }
 
     fn plant_offset(&self, tick: u64) -> u64 {

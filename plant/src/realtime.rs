@@ -75,6 +75,7 @@ pub(crate) fn run<const N: usize>(core: &mut PlantCore<N>, ports: &Ports, stoppe
     let scenario = &ports.joined.scenario;
     let times = Times::of(scenario, first_deadline(scenario));
     core.start_at(times.t_0_ns);
+    exchange(core, ports, times.t_0_ns - times.period_ns);
     let mut tick = 0;
     let mut duty = Duty { awake_since_ns: clock::now_ns() };
     while !stopped() && orders.stop_at.is_none_or(|stop| tick < stop) {
@@ -117,27 +118,31 @@ fn first_deadline(scenario: &Scenario) -> u64 {
 
 /// Exchanges states and torques that count for nothing, and runs the whole tick's code.
 fn warm_up<const N: usize>(core: &mut PlantCore<N>, ports: &Ports, evidence: &mut EvidenceReader) {
-    let (block, links) = (&ports.joined.block, u32::try_from(N).unwrap_or(0));
     for _ in 0..WARM_UP_ROUNDS {
-        let now_ns = clock::now_ns();
-        ports.states.send(State {
-            deadline_ns: now_ns,
-            published_ns: now_ns,
-            active: core.authority.active().0,
-            epoch: core.authority.active().1,
-            flags: state_flag::WARM_UP,
-            links,
-            ..State::zeroed()
-        });
-        ports.state_bell.ring(block);
-        ports.torque_bell.wait(block, now_ns, now_ns + 300_000, &mut 0, || ports.torques.take());
+        exchange(core, ports, 0);
         // Readers pass over a record without links.
         ports.records.send(TickRecord::zeroed());
         ports.update_connections();
         std::hint::black_box(evidence.read());
     }
     core.rehearse();
-    while ports.torques.take().is_some() {}
+}
+
+/// One exchange of the warm-up; `deadline_ns` is one period before t_0 once that is known.
+fn exchange<const N: usize>(core: &PlantCore<N>, ports: &Ports, deadline_ns: u64) {
+    let block = &ports.joined.block;
+    let (now_ns, (active, epoch)) = (clock::now_ns(), core.authority.active());
+    ports.states.send(State {
+        deadline_ns,
+        published_ns: now_ns,
+        active,
+        epoch,
+        flags: state_flag::WARM_UP,
+        links: u32::try_from(N).unwrap_or(0),
+        ..State::zeroed()
+    });
+    ports.state_bell.ring(block);
+    ports.torque_bell.wait(block, now_ns, now_ns + 300_000, &mut 0, || ports.torques.take());
 }
 
 /// One tick; returns the tick that was run or skipped last, which is later than `tick` after an overrun.
@@ -193,7 +198,9 @@ fn prepare<const N: usize>(core: &mut PlantCore<N>, ports: &Ports) -> Option<u64
     let took_ns = clock::now_ns() - from_ns;
     ports.drain_setpoints(core);
     // Anything still here came after the cut-off: another tick's by the time it could act.
-    while ports.torques.take_with(|torque| core.authority.too_late(torque)).is_some() {}
+    while let Some(torque) = ports.next_torque() {
+        core.authority.too_late(&torque);
+    }
     (took_ns > JOIN_NS).then_some(took_ns)
 }
 
@@ -217,7 +224,7 @@ fn await_torque<const N: usize>(
     let block = &ports.joined.block;
     for (until_ns, at_grace) in [(grace_deadline_ns, true), (cutoff_ns, false)] {
         ports.torque_bell.wait(block, clock::now_ns(), until_ns, gap_ns, || {
-            while let Some(torque) = ports.torques.take() {
+            while let Some(torque) = ports.next_torque() {
                 core.arrive(&torque, clock::now_ns());
             }
             core.authority.is_settled().then_some(())
