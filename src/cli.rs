@@ -64,6 +64,7 @@ Examples:
 Examples:
   loopbound bound
   loopbound bound --law ctc --set controller.uncertainty.mass=0.1
+  loopbound bound --latency 100us                      what that latency leaves, and the best gains for it
   loopbound bound scenarios/mismatch.toml --json")]
     Bound(bound::BoundArgs),
     /// Run many cases at once in lockstep, and write tables, pictures and conclusions.

@@ -183,7 +183,7 @@ impl<const N: usize> Sums<N> {
         let (q, q_d) = (to_vector::<N>(&record.q), to_vector::<N>(&record.q_d));
         let (v_d, a_d) = (to_vector::<N>(&record.v_d), to_vector::<N>(&record.a_d));
         let (e, ed) = (q_d - q, v_d - to_vector::<N>(&record.v));
-        let tau = segments(record).last().map_or_else(Vector::zeros, |segment| to_vector(&segment.tau));
+        let tau = segments(record).last().map_or_else(Vector::<N>::zeros, |segment| to_vector(&segment.tau));
         // Written so that what is not a number counts as lost.
         if !e.iter().all(|e| e.abs() < LOST_RAD) {
             self.lost_at_s = Some(t_s);
