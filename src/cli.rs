@@ -11,7 +11,7 @@ use loopbound_shared::role::RoleArgs;
 use loopbound_shared::scenario::{Mode, Scenario, Wakeup, parse_duration, parse_rate};
 
 use crate::exit::Exit;
-use crate::{bound, clean, doctor, model, pages, ps, roles, run};
+use crate::{bound, clean, doctor, model, pages, ps, roles, run, study};
 
 /// kHz control loops split across processes over shared memory: latency measured to the nanosecond, and a Lyapunov
 /// bound checked live.
@@ -64,8 +64,17 @@ Examples:
 Examples:
   loopbound bound
   loopbound bound --law ctc --set controller.uncertainty.mass=0.1
+  loopbound bound --latency 100us                      what that latency leaves, and the best gains for it
   loopbound bound scenarios/mismatch.toml --json")]
     Bound(bound::BoundArgs),
+    /// Run many cases at once in lockstep, and write tables, pictures and conclusions.
+    #[command(after_help = "\
+Examples:
+  loopbound study paper                                the paper's figures and claims
+  loopbound study paper --quick --links 1,2,3,5,7
+  loopbound study delay --links 1,3,7 --out study      the stability boundary, measured and predicted
+  loopbound study rate --law robust-ff")]
+    Study(study::StudyArgs),
     /// Answer each line of JSON with M, C, G and the acceleration at that state.
     #[command(after_help = "\
 Example:
@@ -270,6 +279,7 @@ fn dispatch(command: Command) -> anyhow::Result<Exit> {
         Command::Clean => clean::run(),
         Command::Bound(args) => bound::run(&args),
         Command::Model(args) => model::run(&args),
+        Command::Study(args) => study::run(&args),
         Command::Completions { shell } => pages::completions(shell, &mut Cli::command()),
         Command::Man { out } => pages::manual(out.as_deref(), Cli::command()),
         Command::Plant(args) => roles::role(loopbound_plant::run, args.into_role()),

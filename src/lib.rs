@@ -16,4 +16,5 @@ pub mod ps;
 pub mod roles;
 pub mod run;
 pub mod signals;
+pub mod study;
 pub mod supervise;
