@@ -17,3 +17,4 @@ pub mod roles;
 pub mod run;
 pub mod signals;
 pub mod supervise;
+pub mod swap;

@@ -153,14 +153,7 @@ impl<'a, const N: usize> Watch<'a, N> {
     fn open(args: &'a MonitorArgs, joined: &'a Joined) -> Result<Self, RoleError> {
         let scenario = &joined.scenario;
         let lockstep = scenario.loop_.mode == Mode::Lockstep;
-        let config = Config {
-            period_ns: scenario.period_ns(),
-            late_ns: scenario.loop_.late_ns(),
-            settle_ns: scenario.loop_.settle_ns(),
-            start_up_ns: scenario.loop_.start_up.ns(),
-            finalise_ns: scenario.monitor.finalise.ns(),
-            lockstep,
-        };
+        let config = Config::of(scenario);
         let other = |e: &dyn std::fmt::Display| RoleError::Other(e.to_string());
         let judge = Judge::new(scenario).map_err(|e| other(&e))?;
         let recorder = match &args.out {
