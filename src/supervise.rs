@@ -338,7 +338,9 @@ impl<'a> Supervisor<'a> {
             // In lockstep the plant waits for this very command.
             Role::Controller => {
                 let remove = Command { kind: CommandKind::RemoveMember.code(), controller: id, ..Command::zeroed() };
-                if let Err(why) = self.command(remove) {
+                if self.children[index].member
+                    && let Err(why) = self.command(remove)
+                {
                     self.note(&format!("{name}: {why}"));
                 }
             }

@@ -9,7 +9,7 @@
 //! | [`swaps`] | changes of the controller in charge |
 //! | [`event`] | what is noted besides figures |
 //! | [`summary`], [`verdict`], [`render`] | the keys of `summary.json`, what they come to, one screen of text |
-//! | [`files`] | the files of a run, written by a thread of their own |
+//! | [`files`], `traces` | the files of a run, written by a thread of their own |
 //! | [`run`] | the process: attach, drain, report, leave |
 
 #![forbid(unsafe_code)]
@@ -29,6 +29,7 @@ pub mod summary;
 pub mod swaps;
 #[cfg(test)]
 mod testing;
+mod traces;
 pub mod tracker;
 pub mod verdict;
 

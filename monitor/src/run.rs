@@ -7,7 +7,7 @@ use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 
-use loopbound_shared::clock::{now_ns, sleep_until_ns_or_signal, wall_time, wall_time_ns};
+use loopbound_shared::clock::{now_ns, seconds, sleep_until_ns_or_signal, wall_time, wall_time_ns};
 use loopbound_shared::doorbell::Bell;
 use loopbound_shared::event::{Phase, Role};
 use loopbound_shared::group::runtime_folder;
@@ -160,7 +160,8 @@ impl<'a, const N: usize> Watch<'a, N> {
             None => None,
             Some(folder) => {
                 let lossless = lockstep && args.managed;
-                let recorder = Recorder::start(folder, N, wall_time_ns(), lossless);
+                let recorder =
+                    Recorder::start(folder, N, wall_time_ns(), lossless, seconds(scenario.monitor.trace.ns()));
                 Some(recorder.map_err(|e| RoleError::Other(format!("{}: {e}", folder.display())))?)
             }
         };

@@ -40,6 +40,7 @@ impl Supervisor<'_> {
         if let Some(child) = self.children.iter_mut().find(|c| c.pid == pid) {
             child.member = admitted && role == Role::Controller;
         }
+        self.set_priorities();
         let Some(dead) = replaces else { return };
         if admitted {
             self.note(&format!("{name} is ready, in place of the one that died"));
@@ -47,7 +48,6 @@ impl Supervisor<'_> {
         for death in self.deaths.iter_mut().filter(|d| d.role == role.name() && d.id == dead) {
             death.recovered |= admitted;
         }
-        self.set_priorities();
     }
 
     /// Notes when to start it again, twice as late each time. In lockstep a controller is not: the tick in which it
@@ -107,9 +107,9 @@ impl Supervisor<'_> {
             if id == self.active {
                 continue;
             }
-            let of = |c: &Child| c.process.role == Role::Controller && c.process.id == id && c.lives();
+            let of = |c: &Child| c.process.role == Role::Controller && c.process.id == id;
             let Some(index) = self.children.iter().position(of) else { continue };
-            if self.children[index].member {
+            if self.children[index].member && self.children[index].lives() {
                 let remove = Command { kind: CommandKind::RemoveMember.code(), controller: id, ..Command::zeroed() };
                 if let Err(why) = self.command(remove) {
                     self.note(&format!("controller {id}: {why}"));
@@ -133,7 +133,7 @@ impl Supervisor<'_> {
     /// Standbys run above the active controller: when that one dies, the kernel takes it down at its own priority, on
     /// the core where a standby is to answer the same tick.
     pub(super) fn set_priorities(&self) {
-        for child in self.controllers().filter(|c| c.ready()) {
+        for child in self.controllers().filter(|c| c.ready() && c.member) {
             let wanted = self.scenario.realtime.priority + u32::from(child.process.id != self.active);
             // Only who has real time by its own start-up; a refusal costs a failover's margin, not the run.
             if priority(child.pid).is_ok_and(|now| now != 0 && now != wanted) {

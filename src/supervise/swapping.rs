@@ -125,7 +125,9 @@ impl Supervisor<'_> {
     fn ask_when_ready(&mut self, mut swap: Swapping) -> Option<Swapping> {
         let to = swap.report.to;
         let Some(child) = self.controllers().find(|c| c.process.id == to).filter(|c| c.lives()) else {
-            return self.conclude(swap, "refused", Some("the new process ended before it was ready".to_owned()));
+            let child = self.controllers().find(|c| c.process.id == to);
+            let said = child.and_then(|c| c.said().pop()).map_or_else(String::new, |said| format!(": {said}"));
+            return self.conclude(swap, "refused", Some(format!("the new process ended before it was ready{said}")));
         };
         if !child.member {
             let late = clock::now_ns() >= swap.asked_ns + READY_NS;
@@ -196,6 +198,9 @@ impl Supervisor<'_> {
     fn conclude(&mut self, mut swap: Swapping, result: &str, reason: Option<String>) -> Option<Swapping> {
         let (from, to) = (swap.report.from, swap.report.to);
         (swap.report.result, swap.report.reason) = (result.to_owned(), reason);
+        if swap.report.tick == 0 {
+            swap.report.tick = self.tick();
+        }
         swap.account.complete(&mut swap.report, swap.asked_ns, self.scenario.period_ns());
         if result == "done" {
             let policy = self.scenario.supervisor.controller;
@@ -207,7 +212,8 @@ impl Supervisor<'_> {
                 self.plan_retirement(from, self.scenario.swap_gate.retire_after.ns());
             }
         } else if swap.started {
-            self.plan_retirement(to, 0);
+            // At the next look: by then it is known who is in charge now.
+            self.plan_retirement(to, 1);
         }
         let why = swap.report.reason.as_ref().map_or_else(String::new, |why| format!(": {why}"));
         self.note(&format!("swap from controller {from} to {to} in tick {}: {result}{why}", swap.report.tick));
