@@ -11,7 +11,7 @@ use loopbound_shared::role::RoleArgs;
 use loopbound_shared::scenario::{Mode, Scenario, Wakeup, parse_duration, parse_rate};
 
 use crate::exit::Exit;
-use crate::{bound, clean, doctor, model, pages, ps, roles, run, study};
+use crate::{bound, clean, doctor, model, pages, ps, roles, run, study, swap};
 
 /// kHz control loops split across processes over shared memory: latency measured to the nanosecond, and a Lyapunov
 /// bound checked live.
@@ -50,6 +50,15 @@ Examples:
   loopbound monitor --group lb-4711 --duration 5s --json
   loopbound monitor --group lb-4711 --out results")]
     Monitor(MonitorArgs),
+    /// Replace the controller in charge of a running group, without a missed tick.
+    #[command(after_help = "\
+Examples:
+  loopbound swap --group lb-4711 --law ctc             as soon as the gate passes
+  loopbound swap --group lb-4711 --law robust-ff --blend 20ms
+  loopbound swap --group lb-4711 --exe target/release/examples/my_controller --at-tick 5000
+  loopbound swap --group lb-4711 --to 2 --json         to the standby with number 2
+Exit code 4: refused or rolled back; the old controller is still in charge.")]
+    Swap(swap::SwapArgs),
     /// List the running groups of this user and their processes.
     #[command(after_help = "Examples:\n  loopbound ps\n  loopbound ps --json")]
     Ps(JsonArgs),
@@ -274,6 +283,7 @@ fn dispatch(command: Command) -> anyhow::Result<Exit> {
     match command {
         Command::Run(args) => run::run(&args),
         Command::Monitor(args) => roles::monitor(args),
+        Command::Swap(args) => swap::run(&args),
         Command::Ps(args) => ps::run(args.json),
         Command::Doctor(args) => doctor(args.json),
         Command::Clean => clean::run(),

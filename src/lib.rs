@@ -18,3 +18,4 @@ pub mod run;
 pub mod signals;
 pub mod study;
 pub mod supervise;
+pub mod swap;

@@ -10,7 +10,7 @@
 //! | [`event`] | what is noted besides figures |
 //! | [`summary`], [`verdict`], [`render`] | the keys of `summary.json`, what they come to, one screen of text |
 //! | [`chart`] | pictures, as SVG and PNG |
-//! | [`files`] | the files of a run, written by a thread of their own |
+//! | [`files`], `traces` | the files of a run, written by a thread of their own |
 //! | [`run`] | the process: attach, drain, report, leave |
 
 #![forbid(unsafe_code)]
@@ -31,6 +31,7 @@ pub mod summary;
 pub mod swaps;
 #[cfg(test)]
 mod testing;
+mod traces;
 pub mod tracker;
 pub mod verdict;
 
