@@ -9,7 +9,7 @@
 //! | [`swaps`] | changes of the controller in charge |
 //! | [`event`] | what is noted besides figures |
 //! | [`summary`], [`verdict`], [`render`] | the keys of `summary.json`, what they come to, one screen of text |
-//! | [`files`] | the files of a run, written by a thread of their own |
+//! | [`files`], [`plot`] | the files of a run, written by a thread of their own; percentile plots |
 //! | [`run`] | the process: attach, drain, report, leave |
 
 #![forbid(unsafe_code)]
@@ -23,6 +23,7 @@ pub mod jitter;
 pub mod judge;
 pub mod late;
 mod members;
+pub mod plot;
 pub mod render;
 mod run;
 pub mod summary;

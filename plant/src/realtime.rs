@@ -125,7 +125,7 @@ fn one_tick<const N: usize>(
 ) -> u64 {
     let block = &ports.joined.block;
     let mut gap_ns = 0;
-    clock::sleep_until_ns(times.deadline_ns(tick) - times.lead_ns);
+    let wake_late_ns = sleep_and_probe(times.deadline_ns(tick) - times.lead_ns);
     let joined_ns = prepare(core, ports);
     let sampled_ns = wait_for_deadline(ports, times.deadline_ns(tick), &mut gap_ns);
     // An overrun: the ticks whose end has passed are skipped and counted, never published.
@@ -137,6 +137,7 @@ fn one_tick<const N: usize>(
         sampled_ns,
         grace_deadline_ns: times.grace_deadline_ns(tick, sampled_ns),
         skipped,
+        wake_late_ns,
     });
     if let Some(took_ns) = joined_ns {
         core.note_join(took_ns);
@@ -154,6 +155,14 @@ fn one_tick<const N: usize>(
     core.note_slack(evidence.read(), gap_ns, 0);
     ports.serve(core, orders);
     tick
+}
+
+/// Sleeps, and returns how late the kernel ended it: the noise floor of the run. A sleep that was due already says
+/// nothing about the host, and returns the largest number.
+fn sleep_and_probe(until_ns: u64) -> u64 {
+    let sleeps = clock::now_ns() < until_ns;
+    clock::sleep_until_ns(until_ns);
+    if sleeps { clock::now_ns().saturating_sub(until_ns) } else { u64::MAX }
 }
 
 /// In the slack before the deadline: maps what joined (its time if it was long), takes what came late.
