@@ -6,6 +6,7 @@
 
 mod child;
 mod ending;
+mod prolong;
 mod record;
 mod roster;
 mod watchdog;
@@ -105,6 +106,8 @@ struct Supervisor<'a> {
     answered: Vec<(u32, u64)>,
     /// The tick for whose standing still the reference was held to be the cause.
     suspected_in: Option<u64>,
+    /// The first tick that the plant does not run any more.
+    stop_tick: u64,
     due: VecDeque<Due>,
     deaths: Vec<Death>,
     roster: RosterFile,
@@ -153,6 +156,7 @@ impl<'a> Supervisor<'a> {
             torques: lockstep.then(|| node.subscriber(1)).transpose()?,
             answered: Vec::new(),
             suspected_in: None,
+            stop_tick: scenario.loop_.ticks(),
             due: VecDeque::new(),
             deaths: Vec::new(),
             roster: RosterFile::new(&group),
@@ -234,6 +238,7 @@ impl<'a> Supervisor<'a> {
                 return end;
             }
             self.start_due();
+            self.prolong_if_undecided();
             self.options.progress.set_position(self.tick());
             if watchdog.stalled(clock::now_ns(), self.tick()) {
                 self.kill_who_is_silent();

@@ -112,13 +112,7 @@ impl Recorder {
     ///
     /// # Errors
     /// If a file can't be written.
-    pub fn write_end(
-        &self,
-        summary: &Summary,
-        hops: &Hops,
-        blocks: &Blocks,
-        scenario_toml: &str,
-    ) -> io::Result<()> {
+    pub fn write_end(&self, summary: &Summary, hops: &Hops, blocks: &Blocks, scenario_toml: &str) -> io::Result<()> {
         write_atomically(&self.folder.join("scenario.toml"), scenario_toml.as_bytes())?;
         fs::write(self.folder.join(blocks::FILE), blocks.to_text())?;
         let folder = self.folder.join("latency");

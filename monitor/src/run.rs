@@ -290,8 +290,7 @@ impl<'a, const N: usize> Watch<'a, N> {
         }
         self.judged_blocks = blocks;
         let summary = self.tracker.summarise();
-        let verdict =
-            judge(&self.joined.scenario.expect, &summary, self.tracker.blocks(), judge_summary(&summary));
+        let verdict = judge(&self.joined.scenario.expect, &summary, self.tracker.blocks(), judge_summary(&summary));
         let interim = Interim { tick: summary.last_tick.unwrap_or(0), status: verdict.status };
         // A full disc shows at the end, when the summary can't be written either.
         let _ = interim.write(&self.joined.group.file(Interim::FILE));

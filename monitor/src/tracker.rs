@@ -10,12 +10,12 @@ use loopbound_shared::sample::{
 
 use crate::event::{Event, EventKind, EventLog};
 use crate::hops::{Hop, Hops};
-use crate::verdict::blocks::Blocks;
 use crate::jitter::JitterStatistics;
 use crate::judge::{Judge, Judged};
 use crate::late::Causes;
 use crate::summary::{Summary, Tracking, counters_by_name, finite};
 use crate::swaps::Swaps;
+use crate::verdict::blocks::Blocks;
 
 /// What a tracker must know of the scenario.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -143,8 +143,7 @@ mod tests {
         let mut random = Random(seed);
         let mut run = Blocks::new(1_000_000);
         for index in 0..blocks {
-            let mut values: Vec<u16> =
-                (0..250).map(|_| bucket((base_ns + random.below(base_ns / 5)) as u64)).collect();
+            let mut values: Vec<u16> = (0..250).map(|_| bucket((base_ns + random.below(base_ns / 5)) as u64)).collect();
             let mut hops = vec![Vec::new(); Hop::ALL.len()];
             hops[Hop::RoundTrip as usize] = counts_of(&mut values);
             run.push(Block { index, hops });

@@ -55,9 +55,7 @@ pub fn validate(section: &ExpectSection) -> Result<(), String> {
             }
             _ => {}
         }
-        if quantile_of(key).is_some()
-            && matches!(expectation.comparator, Comparator::Equal | Comparator::NotEqual)
-        {
+        if quantile_of(key).is_some() && matches!(expectation.comparator, Comparator::Equal | Comparator::NotEqual) {
             return Err(format!("`{expectation}`: a measured quantile is never exactly a number; use <= or >="));
         }
     }

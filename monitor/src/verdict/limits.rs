@@ -97,12 +97,7 @@ pub struct Limits {
 
 /// The limits of the `quantile` (such as 0.99), each missed with probability at most `alpha`.
 #[must_use]
-pub fn limits<'a>(
-    quantile: f64,
-    alpha: f64,
-    nominal: u64,
-    blocks: impl Iterator<Item = &'a Counts> + Clone,
-) -> Limits {
+pub fn limits<'a>(quantile: f64, alpha: f64, nominal: u64, blocks: impl Iterator<Item = &'a Counts> + Clone) -> Limits {
     let share = 1.0 - quantile;
     let needed = -libm::log(alpha);
     let rejects = |side, threshold| evidence(side, share, threshold, nominal, blocks.clone()) >= needed;

@@ -138,6 +138,9 @@ mod tests {
         assert_eq!(lines.len(), 2);
         assert!(lines[0].starts_with("::error title=loopbound::round_trip.p99") && lines[0].ends_with("10 %25"));
         assert!(lines[1].starts_with("::warning "));
-        assert_eq!(one_line(&summary().verdict).split(", first").next(), Some("failed: 1 passed, 1 failed, 1 inconclusive"));
+        assert_eq!(
+            one_line(&summary().verdict).split(", first").next(),
+            Some("failed: 1 passed, 1 failed, 1 inconclusive")
+        );
     }
 }
