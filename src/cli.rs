@@ -11,7 +11,7 @@ use loopbound_shared::role::RoleArgs;
 use loopbound_shared::scenario::{Mode, Scenario, Wakeup, parse_duration, parse_rate};
 
 use crate::exit::Exit;
-use crate::{bound, clean, doctor, model, pages, ps, roles, run, study, swap};
+use crate::{bound, check, clean, doctor, model, pages, ps, roles, run, study, swap};
 
 /// kHz control loops split across processes over shared memory: latency measured to the nanosecond, and a Lyapunov
 /// bound checked live.
@@ -68,6 +68,16 @@ Exit code 4: refused or rolled back; the old controller is still in charge.")]
     /// Remove what killed groups left in shared memory; running groups are not touched.
     #[command(after_help = "Example:\n  loopbound clean")]
     Clean,
+    /// Judge a recorded run by expectations, again or for the first time.
+    #[command(after_help = "\
+Examples:
+  loopbound check results                              by the expectations of its own scenario
+  loopbound check results --expect expect.toml --junit junit.xml
+Exit codes: 0 passed, 1 failed, 3 inconclusive.")]
+    Check(check::CheckArgs),
+    /// Compare two recorded runs: the ratio of each quantile with its confidence interval.
+    #[command(after_help = "Examples:\n  loopbound compare before after\n  loopbound compare before after --json")]
+    Compare(check::CompareArgs),
     /// Print the certificate of a scenario without running it.
     #[command(after_help = "\
 Examples:
@@ -287,6 +297,8 @@ fn dispatch(command: Command) -> anyhow::Result<Exit> {
         Command::Ps(args) => ps::run(args.json),
         Command::Doctor(args) => doctor(args.json),
         Command::Clean => clean::run(),
+        Command::Check(args) => check::check(&args),
+        Command::Compare(args) => check::compare(&args),
         Command::Bound(args) => bound::run(&args),
         Command::Model(args) => model::run(&args),
         Command::Study(args) => study::run(&args),

@@ -4,6 +4,7 @@
 //! never in the loop. It alone commands the plant and cleans up after the dead.
 
 pub mod bound;
+pub mod check;
 pub mod clean;
 pub mod cli;
 pub mod doctor;

@@ -7,6 +7,7 @@
 mod child;
 mod control;
 mod ending;
+mod prolong;
 mod record;
 mod roster;
 mod succession;
@@ -108,6 +109,8 @@ struct Supervisor<'a> {
     answered: Vec<(u32, u64)>,
     /// The tick for whose standing still the reference was held to be the cause.
     suspected_in: Option<u64>,
+    /// The first tick that the plant does not run any more.
+    stop_tick: u64,
     due: VecDeque<Due>,
     retirements: Vec<Retirement>,
     control: Control,
@@ -163,6 +166,7 @@ impl<'a> Supervisor<'a> {
             torques: lockstep.then(|| node.subscriber(1)).transpose()?,
             answered: Vec::new(),
             suspected_in: None,
+            stop_tick: scenario.loop_.ticks(),
             due: VecDeque::new(),
             retirements: Vec::new(),
             control: Control::open(&group).context("the group's socket")?,
@@ -255,6 +259,7 @@ impl<'a> Supervisor<'a> {
             self.start_due();
             self.serve_swaps();
             self.retire_due();
+            self.prolong_if_undecided();
             self.options.progress.set_position(self.tick());
             if watchdog.stalled(clock::now_ns(), self.tick()) {
                 self.kill_who_is_silent();

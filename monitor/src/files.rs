@@ -1,5 +1,5 @@
 //! The files of a run, written by a thread of their own: `samples.csv`, `events.jsonl`, `latency.hlog`, and at the end
-//! `summary.json`, `scenario.toml` and `latency/*.hgrm`.
+//! `summary.json`, `scenario.toml`, `blocks.jsonl` and `latency/*.{hgrm,svg}`.
 //!
 //! The queue to the thread is bounded. What finds it full is counted as dropped, so that a slow disc costs lines of a
 //! file and never a record; only in lockstep, where the plant can wait, the monitor waits too.
@@ -21,6 +21,7 @@ use crate::hops::{Hop, Hops};
 use crate::summary::{Dropped, Summary};
 use crate::traces::Traces;
 use crate::tracker::Row;
+use crate::verdict::blocks::{self, Blocks};
 
 /// Entries that wait for the disc: more than a second of ticks at 10 kHz.
 const QUEUE: usize = 16_384;
@@ -114,13 +115,16 @@ impl Recorder {
     ///
     /// # Errors
     /// If a file can't be written.
-    pub fn write_end(&self, summary: &Summary, hops: &Hops, scenario_toml: &str) -> io::Result<()> {
+    pub fn write_end(&self, summary: &Summary, hops: &Hops, blocks: &Blocks, scenario_toml: &str) -> io::Result<()> {
         write_atomically(&self.folder.join("scenario.toml"), scenario_toml.as_bytes())?;
+        fs::write(self.folder.join(blocks::FILE), blocks.to_text())?;
         let folder = self.folder.join("latency");
         fs::create_dir_all(&folder)?;
         for hop in Hop::ALL {
             let text = percentiles(hops.of(hop).histogram());
             fs::write(folder.join(format!("{}.hgrm", hop.name())), text)?;
+            let svg = crate::plot::percentile_plot(hop.name(), hops.of(hop).histogram());
+            fs::write(folder.join(format!("{}.svg", hop.name())), svg)?;
         }
         write_summary(&self.folder.join("summary.json"), summary)
     }
@@ -136,7 +140,7 @@ pub fn write_summary(path: &Path, summary: &Summary) -> io::Result<()> {
     write_atomically(path, text.as_bytes())
 }
 
-fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
+pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut beside = path.as_os_str().to_owned();
     beside.push(format!(".{}.tmp", std::process::id()));
     fs::write(&beside, bytes)?;
@@ -270,7 +274,7 @@ mod tests {
         tracker.finish();
         let mut summary = tracker.summarise();
         summary.dropped = recorder.finish().unwrap();
-        recorder.write_end(&summary, tracker.hops(), "[loop]\n").unwrap();
+        recorder.write_end(&summary, tracker.hops(), tracker.blocks(), "[loop]\n").unwrap();
         summary
     }
 

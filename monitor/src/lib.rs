@@ -10,7 +10,7 @@
 //! | [`event`] | what is noted besides figures |
 //! | [`summary`], [`verdict`], [`render`] | the keys of `summary.json`, what they come to, one screen of text |
 //! | [`chart`] | pictures, as SVG and PNG |
-//! | [`files`], `traces` | the files of a run, written by a thread of their own |
+//! | [`files`], `traces`, [`plot`] | the files of a run, written by a thread of their own; percentile plots |
 //! | [`run`] | the process: attach, drain, report, leave |
 
 #![forbid(unsafe_code)]
@@ -25,6 +25,7 @@ pub mod jitter;
 pub mod judge;
 pub mod late;
 mod members;
+pub mod plot;
 pub mod render;
 mod run;
 pub mod summary;
