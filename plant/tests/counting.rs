@@ -23,7 +23,14 @@ fn open(plant: &mut PlantCore<3>, tick: u64, skipped: u64) {
     plant.setpoints.enter(&Setpoint { tick, links: 3, ..Setpoint::zeroed() }, 3);
     let deadline_ns = tick * PERIOD_NS;
     let grace_deadline_ns = deadline_ns + GRACE_NS;
-    plant.open(Opening { tick, deadline_ns, sampled_ns: deadline_ns, grace_deadline_ns, skipped });
+    plant.open(Opening {
+        tick,
+        deadline_ns,
+        sampled_ns: deadline_ns,
+        grace_deadline_ns,
+        skipped,
+        wake_late_ns: u64::MAX,
+    });
     plant.stamp_published(deadline_ns, grace_deadline_ns);
 }
 
