@@ -149,7 +149,7 @@ impl Base {
         if N != 3 {
             let envelope = system::assumptions::<N>(&scenario)?.envelope();
             let needed = certificate(LawKind::Robust, &envelope, &system::gains(&scenario, LawKind::Robust), None);
-            scenario.controller.gains.c1 = (needed.c1_required + DISTURBANCE_NM * (N as f64).sqrt()).ceil();
+            scenario.controller.gains.c1 = Some((needed.c1_required + DISTURBANCE_NM * (N as f64).sqrt()).ceil());
             scenario.controller.gains.level = needed_level::<N>(&scenario)?;
         }
         let found = system::certificate_of::<N>(&scenario, LawKind::Robust)?;
@@ -217,7 +217,7 @@ fn account<const N: usize>(scenario: &mut Scenario) -> Result<(), ScenarioError>
         let gains = &mut scenario.controller.gains;
         (gains.level, gains.k3, gains.k2) = (found.level, k3, k2);
         if law == LawKind::Robust {
-            gains.c1 = found.c1_required;
+            gains.c1 = Some(found.c1_required);
         }
     }
     Ok(())

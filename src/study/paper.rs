@@ -131,7 +131,7 @@ fn trade_off_scenario(base: &Base, rate_hz: f64, c1_nm: f64) -> Scenario {
     scenario.loop_.rate = Hertz(rate_hz);
     scenario.loop_.duration = nanos(12.0f64.min(scenario.loop_.duration.seconds()));
     scenario.loop_.settle = Some(nanos(scenario.loop_.duration.seconds() / 2.0));
-    scenario.controller.gains.c1 = c1_nm;
+    scenario.controller.gains.c1 = Some(c1_nm);
     scenario.plant.noise.q_rad = NOISE;
     scenario.plant.noise.v_rad_s = NOISE;
     let links = scenario.links() as f64;

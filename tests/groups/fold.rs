@@ -111,6 +111,7 @@ fold!(TickRecord {
     setpoint_tick,
     skipped_before,
     spin_gap_ns,
+    wake_late_ns,
     decision,
     active,
     epoch,
