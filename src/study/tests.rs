@@ -20,30 +20,29 @@ fn an_impossible_number_of_links_is_refused_before_anything_runs() {
     assert!(check_links(&[1, 7]).is_ok());
 }
 
-/// Cells of the golden table that a change of the last bits of libm may not move by more than this: the runs are
-/// bit-identical between machines, so this only allows for changes that are meant, such as another quadrature.
+/// How far a cell may be from the golden one. The runs are bit-identical between machines; this allows for changes that
+/// are meant and don't matter, such as another order of a sum.
 const TOLERANCE: f64 = 1e-4;
 
+/// The golden table is that of `loopbound study paper --quick`; its rows are independent, so a few stand for all.
 #[test]
-fn the_quick_table_is_the_golden_one() {
-    let mut base = Base::new::<3>(true).unwrap();
-    base.scenario.loop_.duration = cases::nanos(4.0);
-    base.scenario.loop_.settle = Some(cases::nanos(2.0));
-    let laws: Vec<Variant> = variants().into_iter().filter(|v| v.name != "ctc 100/20").collect();
-    let cases = [Case::Exact, Case::Mass(0.2), Case::Disturbance, Case::Noise, Case::Latency(1.5e-3)];
-    let table = paper::table::<3>(&base, &laws, &cases, 0).unwrap();
+fn rows_of_the_quick_table_are_the_golden_ones() {
+    let base = Base::new::<3>(true).unwrap();
+    let laws: Vec<Variant> =
+        variants().into_iter().filter(|v| v.law != LawKind::PdG && v.name != "ctc 100/20").collect();
+    let table = paper::table::<3>(&base, &laws, &[Case::Mass(0.2), Case::Noise], 0).unwrap();
+    let golden = include_str!("../../tests/golden/study_paper.csv");
     let found = table.to_csv();
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/study_paper.csv");
-    if std::env::var_os("UPDATE_GOLDEN").is_some() {
-        std::fs::write(&path, &found).unwrap();
-    }
-    let golden = std::fs::read_to_string(&path).unwrap();
-    assert_eq!(found.lines().count(), golden.lines().count());
-    for (found, golden) in found.lines().zip(golden.lines()) {
-        for (a, b) in found.split(',').zip(golden.split(',')) {
+    assert_eq!(found.lines().next(), golden.lines().next());
+    assert_eq!(golden.lines().count(), 1 + Case::ALL.len() * variants().len());
+    for found in found.lines().skip(1) {
+        let cells: Vec<&str> = found.split(',').collect();
+        let same = |line: &&str| line.split(',').take(2).eq(cells.iter().copied().take(2));
+        let golden = golden.lines().find(same).unwrap();
+        for (a, b) in cells.iter().zip(golden.split(',')) {
             let near = match (a.parse::<f64>(), b.parse::<f64>()) {
                 (Ok(x), Ok(y)) => (x - y).abs() <= TOLERANCE * x.abs().max(y.abs()),
-                _ => a == b,
+                _ => *a == b,
             };
             assert!(near, "{a} is not {b}\nfound  {found}\ngolden {golden}");
         }
