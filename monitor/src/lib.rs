@@ -9,12 +9,14 @@
 //! | [`swaps`] | changes of the controller in charge |
 //! | [`event`] | what is noted besides figures |
 //! | [`summary`], [`verdict`], [`render`] | the keys of `summary.json`, what they come to, one screen of text |
+//! | [`chart`] | pictures, as SVG and PNG |
 //! | [`files`], `traces` | the files of a run, written by a thread of their own |
 //! | [`run`] | the process: attach, drain, report, leave |
 
 #![forbid(unsafe_code)]
 
 pub mod cause;
+pub mod chart;
 pub mod event;
 pub mod files;
 pub mod hops;

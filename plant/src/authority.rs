@@ -270,7 +270,8 @@ impl Authority {
 
     /// Judges a torque that arrived; returns what is to act from now on, if anything new is.
     pub fn offer(&mut self, torque: &Torque, arrived_ns: u64) -> Option<Applied> {
-        // What comes after the deadline finds the deadline's consequences, even if the loop had no time to say so.
+        // A loop that was kept from running finds a late torque before it has looked at the clock: the tick is missed
+        // all the same, and a standby that was in time goes first.
         let taken_over = if arrived_ns > self.grace_ns { self.grace_passed(arrived_ns) } else { None };
         let used = self.consider(torque, arrived_ns);
         debug_assert!(taken_over.is_none() || used.is_none(), "a tick is settled once");

@@ -197,6 +197,14 @@ impl<const N: usize> PlantCore<N> {
         self.has_closed.then_some(&*self.closed)
     }
 
+    /// Counts an overrun of so many ticks, none if 0. Those before a tick that is opened are counted by
+    /// [`PlantCore::open`]; the loop counts those that the end of the run cuts off.
+    pub fn count_skipped(&mut self, ticks: u64) {
+        self.authority.counters.skipped += ticks;
+        self.authority.counters.missed += ticks;
+        self.authority.counters.overruns += u64::from(ticks > 0);
+    }
+
     /// Ends the last tick at `end_ns`; its record is marked as the last.
     pub fn finish(&mut self, end_ns: u64) -> &TickRecord {
         self.record.flags |= record_flag::LAST;
@@ -298,7 +306,8 @@ impl<const N: usize> PlantCore<N> {
 
     fn close(&mut self, end_ns: u64, end_plant_ns: u64, skipped: u64) {
         if self.record.links == 0 {
-            // Nothing is open before the first tick.
+            // Nothing is open before the first tick, but ticks may have been skipped already.
+            self.count_skipped(skipped);
             self.plant_ns = end_plant_ns;
             return;
         }
@@ -310,9 +319,7 @@ impl<const N: usize> PlantCore<N> {
             self.fallback.unanswered(&self.record, v, &self.acting.tau);
         }
         self.authority.close(decision);
-        self.authority.counters.skipped += skipped;
-        self.authority.counters.missed += skipped;
-        self.authority.counters.overruns += u64::from(skipped > 0);
+        self.count_skipped(skipped);
         let (receipts, receipts_used) = self.authority.receipts();
         let record = &mut self.record;
         record.end_ns = end_ns;

@@ -108,6 +108,26 @@ fn lock(folder: &Path, create: bool, operation: FlockOperation) -> Result<Option
     }
 }
 
+/// Tries of [`Group::create`], a millisecond apart: the lock of a dead group is free again by then.
+const CREATE_TRIES: u32 = 20;
+/// Tries of the one who leaves, a millisecond apart.
+const LEAVE_TRIES: u32 = 3;
+
+/// Tries again what failed: [`list`] holds each lock for an instant, and whoever asks just then would take that for a
+/// living member.
+fn patiently<T>(
+    tries: u32,
+    mut attempt: impl FnMut() -> Result<Option<T>, GroupError>,
+) -> Result<Option<T>, GroupError> {
+    for _ in 1..tries {
+        if let Some(got) = attempt()? {
+            return Ok(Some(got));
+        }
+        crate::clock::sleep_ns(1_000_000);
+    }
+    attempt()
+}
+
 impl Group {
     /// Makes a group of this name and joins it. What a dead group of that name left is swept first.
     ///
@@ -116,7 +136,8 @@ impl Group {
     pub fn create(name: &str) -> Result<Self, GroupError> {
         check_name(name)?;
         let folder = runtime_folder().join(name);
-        let Some(exclusive) = lock(&folder, true, FlockOperation::NonBlockingLockExclusive)? else {
+        let taken = patiently(CREATE_TRIES, || lock(&folder, true, FlockOperation::NonBlockingLockExclusive));
+        let Some(exclusive) = taken? else {
             return Err(GroupError::Running(name.to_owned()));
         };
         let group = Self { name: name.to_owned(), folder, alive: exclusive };
@@ -189,7 +210,8 @@ impl Group {
 impl Drop for Group {
     fn drop(&mut self) {
         // An upgrade gives up the shared lock first: of several that leave at once, the last to try gets it.
-        if flock(&self.alive, FlockOperation::NonBlockingLockExclusive).is_ok() {
+        let upgrade = || Ok(flock(&self.alive, FlockOperation::NonBlockingLockExclusive).ok());
+        if matches!(patiently(LEAVE_TRIES, upgrade), Ok(Some(()))) {
             self.sweep_contents();
             let _ = fs::remove_dir_all(&self.folder);
             let _ = fs::remove_dir(runtime_folder());
@@ -258,6 +280,25 @@ mod tests {
         drop(member);
         assert!(!folder.exists(), "the last one sweeps");
         assert!(matches!(Group::join(&name), Err(GroupError::NotRunning { .. })));
+    }
+
+    #[test]
+    fn a_look_at_the_groups_neither_refuses_a_new_one_nor_keeps_a_last_member_from_sweeping() {
+        let done = std::sync::atomic::AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                while !done.load(std::sync::atomic::Ordering::Relaxed) {
+                    let _ = list();
+                }
+            });
+            let outcome = (0..200).find_map(|round| {
+                let name = unique(&format!("looked-{round}"));
+                let created = Group::create(&name).map(drop).err().map(|e| e.to_string());
+                created.or_else(|| runtime_folder().join(&name).exists().then(|| format!("{name} is still there")))
+            });
+            done.store(true, std::sync::atomic::Ordering::Relaxed);
+            assert_eq!(outcome, None);
+        });
     }
 
     #[test]

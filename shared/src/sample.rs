@@ -80,11 +80,15 @@ wire! {
     }
 }
 
+/// The tick that answers to warm-up states carry: that of no tick, so they can never act.
+pub const WARM_UP_TICK: u64 = u64::MAX;
+
 /// Flags of a [`State`].
 pub mod state_flag {
     /// The last state of the group: answer it no more, end.
     pub const LAST: u32 = 1;
-    /// Published before tick 0 to warm up both ends; answers are not applied.
+    /// Published before tick 0 to warm up both ends; answers carry [`WARM_UP_TICK`](super::WARM_UP_TICK). The deadline
+    /// is 0, or one period before t_0 once that is known.
     pub const WARM_UP: u32 = 2;
 }
 
