@@ -17,4 +17,6 @@ pub mod ps;
 pub mod roles;
 pub mod run;
 pub mod signals;
+pub mod study;
 pub mod supervise;
+pub mod swap;

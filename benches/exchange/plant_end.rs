@@ -28,6 +28,8 @@ pub(crate) struct PlantEnd {
     states: Publisher<State>,
     torques: Subscriber<Torque>,
     core: Box<PlantCore<LINKS>>,
+    /// How far the core's time has come.
+    plant_ns: u64,
     next_tick: u64,
     orders_given: u32,
     page: Page,
@@ -64,6 +66,7 @@ impl PlantEnd {
             states: node.publisher()?,
             torques: node.subscriber(usize::MAX)?,
             core,
+            plant_ns: 0,
             next_tick: 1,
             orders_given: 0,
             page: Page::create(&group.file("raw"))?,
@@ -158,11 +161,11 @@ impl PlantEnd {
 
     /// As the loop of the plant, without its slack: from the sample to the torque that acts.
     fn exchange_with_plant(&mut self, plan: Plan, mut record: impl FnMut(u64)) -> bool {
-        let Self { core, states, torques, bells, block, .. } = self;
+        let Self { core, plant_ns, states, torques, bells, block, .. } = self;
         let ((waiter, ringer), mut gap_ns) = (&bells[place_of(crate::WORKED_IN)], 0);
-        if !core.has_opened() {
-            core.start_at(clock::now_ns());
-        }
+        // The plant's time stands still between two blocks: nobody controls it there.
+        let t_0_ns = clock::now_ns() - *plant_ns;
+        core.start_at(t_0_ns);
         for tick in plan.first_tick..plan.first_tick + plan.count {
             core.setpoints.enter(&setpoint(tick), LINKS);
             let sampled_ns = clock::now_ns();
@@ -192,6 +195,7 @@ impl PlantEnd {
             }
             core.grace_passed(settled_ns);
             record(settled_ns - sampled_ns);
+            *plant_ns = sampled_ns - t_0_ns;
         }
         true
     }

@@ -20,6 +20,8 @@ pub struct ControllerCore<C> {
     id: u32,
     links: usize,
     virtual_time: bool,
+    /// How far this process's stamps are off, on purpose.
+    clock_off_ns: i64,
 }
 
 impl<C: Controller> ControllerCore<C> {
@@ -33,6 +35,7 @@ impl<C: Controller> ControllerCore<C> {
             id,
             links: scenario.links(),
             virtual_time: scenario.loop_.mode == Mode::Lockstep,
+            clock_off_ns: 0,
         }
     }
 
@@ -60,9 +63,22 @@ impl<C: Controller> ControllerCore<C> {
         self.faults.at_tick(tick)
     }
 
+    /// An instant as this process stamps it: the clock may have been set wrong on purpose.
+    #[must_use]
+    pub fn stamp_ns(&self, now_ns: u64) -> u64 {
+        now_ns.saturating_add_signed(self.clock_off_ns)
+    }
+
+    /// Virtual stamps: everything happens at s_k, but for what is delayed on purpose.
+    pub fn stamp_virtually(&self, state: &State, torque: &mut Torque) {
+        torque.received_ns = self.stamp_ns(state.published_ns);
+        torque.published_ns = self.stamp_ns(state.published_ns + torque.virtual_delay_ns);
+    }
+
     /// The answer to a state. Stamps other than those of its inputs are left to the loop. A state that has no setpoint
     /// yet, or that a fault lets go unanswered, is answered by the marker *withheld*, which only lockstep publishes.
     pub fn answer(&mut self, state: &State, faults: &FaultActions) -> Torque {
+        self.clock_off_ns = self.clock_off_ns.saturating_add(faults.clock_step_ns);
         let mut torque = Torque {
             tick: state.tick,
             state_published_ns: state.published_ns,
@@ -107,6 +123,10 @@ impl<C: Controller> ControllerCore<C> {
         }
         if self.virtual_time {
             torque.virtual_delay_ns = faults.delay_ns;
+            let mark = |happens: bool, flag: u32| if happens { flag } else { 0 };
+            torque.flags |= mark(faults.duplicate, torque_flag::TWICE)
+                | mark(faults.reorder, torque_flag::WITHHELD | torque_flag::AFTER_ITS_TIME)
+                | mark(faults.rogue_nm.is_some(), torque_flag::ROGUE);
         }
         if faults.drop || faults.hang_ns > 0 {
             torque.flags |= torque_flag::WITHHELD;

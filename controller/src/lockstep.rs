@@ -44,9 +44,7 @@ pub(crate) fn run<C: Controller>(core: &mut ControllerCore<C>, ports: &Ports, st
             role::kill_self();
         }
         let mut torque = core.answer(&state, &faults);
-        // Virtual stamps: everything happens at s_k, but for what is delayed on purpose.
-        torque.received_ns = state.published_ns;
-        torque.published_ns = state.published_ns + torque.virtual_delay_ns;
+        core.stamp_virtually(&state, &mut torque);
         ports.torques.send(torque);
         // In lockstep everyone waits at the doorbell, whatever the mode.
         block.ring(Bell::Torque);

@@ -19,6 +19,7 @@ use hdrhistogram::serialization::interval_log::{IntervalLogWriterBuilder, Tag};
 use crate::event::Event;
 use crate::hops::{Hop, Hops};
 use crate::summary::{Dropped, Summary};
+use crate::traces::Traces;
 use crate::tracker::Row;
 use crate::verdict::blocks::{self, Blocks};
 
@@ -48,17 +49,19 @@ pub struct Recorder {
 
 impl Recorder {
     /// Opens the files in `folder` (made if absent) and starts the writer. `wall_start_ns` is the wall time of the
-    /// start for the interval log. `lossless`: wait for the disc instead of dropping.
+    /// start for the interval log. `lossless`: wait for the disc instead of dropping. `trace_s`: how much of the samples
+    /// before and after a change of the controller in charge goes into a file of its own.
     ///
     /// # Errors
     /// If a file can't be made.
-    pub fn start(folder: &Path, links: usize, wall_start_ns: u64, lossless: bool) -> io::Result<Self> {
+    pub fn start(folder: &Path, links: usize, wall_start_ns: u64, lossless: bool, trace_s: f64) -> io::Result<Self> {
         fs::create_dir_all(folder)?;
         let open = |name: &str| File::create(folder.join(name)).map(BufWriter::new);
         let (mut samples, events, latency) = (open("samples.csv")?, open("events.jsonl")?, open("latency.hlog")?);
         samples.write_all(csv_header(links).as_bytes())?;
         let (queue, entries) = sync_channel(QUEUE);
-        let write = move || write_entries(&entries, links, wall_start_ns, samples, events, latency);
+        let traces = Traces::new(folder.join("changes"), csv_header(links), trace_s);
+        let write = move || write_entries(&entries, links, wall_start_ns, samples, events, latency, traces);
         let writer = std::thread::Builder::new().name("recorder".to_owned()).spawn(write)?;
         let (folder, dropped) = (folder.to_owned(), Dropped::default());
         Ok(Self { folder, queue: Some(queue), writer: Some(writer), lossless, dropped })
@@ -151,6 +154,7 @@ fn write_entries(
     mut samples: impl Write,
     mut events: impl Write,
     mut latency: impl Write,
+    mut traces: Traces,
 ) -> io::Result<()> {
     let mut serializer = V2DeflateSerializer::new();
     let mut log = IntervalLogWriterBuilder::new()
@@ -166,6 +170,7 @@ fn write_entries(
                 line.clear();
                 csv_line(&mut line, &row, links);
                 samples.write_all(line.as_bytes())?;
+                traces.line(row.tick, row.t_s, row.active, &line)?;
             }
             Entry::Event(event) => writeln!(events, "{}", event.to_json())?,
             Entry::Interval { start_ns, duration_ns, hops } => {
@@ -251,7 +256,7 @@ mod tests {
     /// A run of 3000 ticks with an interval every 1000, and an event each.
     fn record_into(folder: &Path) -> Summary {
         let mut tracker: Tracker<3> = crate::testing::tracker();
-        let mut recorder = Recorder::start(folder, 3, 1_700_000_000_250_000_000, true).unwrap();
+        let mut recorder = Recorder::start(folder, 3, 1_700_000_000_250_000_000, true, 0.1).unwrap();
         for tick in 0..3000 {
             let mut record = good(tick);
             record.q[2] = 0.125;
@@ -330,7 +335,7 @@ mod tests {
 
     #[test]
     fn a_folder_that_can_not_be_made_is_an_error_with_nothing_started() {
-        assert!(Recorder::start(Path::new("/proc/none"), 3, 0, false).is_err());
+        assert!(Recorder::start(Path::new("/proc/none"), 3, 0, false, 0.1).is_err());
     }
 
     fn decode_base64(text: &str) -> Vec<u8> {

@@ -9,12 +9,14 @@
 //! | [`swaps`] | changes of the controller in charge |
 //! | [`event`] | what is noted besides figures |
 //! | [`summary`], [`verdict`], [`render`] | the keys of `summary.json`, what they come to, one screen of text |
-//! | [`files`], [`plot`] | the files of a run, written by a thread of their own; percentile plots |
+//! | [`chart`] | pictures, as SVG and PNG |
+//! | [`files`], `traces`, [`plot`] | the files of a run, written by a thread of their own; percentile plots |
 //! | [`run`] | the process: attach, drain, report, leave |
 
 #![forbid(unsafe_code)]
 
 pub mod cause;
+pub mod chart;
 pub mod event;
 pub mod files;
 pub mod hops;
@@ -30,6 +32,7 @@ pub mod summary;
 pub mod swaps;
 #[cfg(test)]
 mod testing;
+mod traces;
 pub mod tracker;
 pub mod verdict;
 

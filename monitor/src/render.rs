@@ -207,8 +207,9 @@ fn bound(screen: &mut Screen, summary: &Summary) {
     }
     let text = match bound.budget_used {
         Some(used) => format!(
-            "{:.1} % used by d = {} (p99.9 of the loop), margin {}",
+            "{:.1} % of what sampling allows is used by the period of {} and a latency of {} (p99.9), margin {}",
             used * 100.0,
+            time(summary.rate_hz.map(|rate_hz| 1e9 / rate_hz)),
             time(bound.loop_latency_ns),
             time(bound.delay_margin_ns)
         ),

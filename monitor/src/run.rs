@@ -7,7 +7,7 @@ use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 
-use loopbound_shared::clock::{now_ns, sleep_until_ns_or_signal, wall_time, wall_time_ns};
+use loopbound_shared::clock::{now_ns, seconds, sleep_until_ns_or_signal, wall_time, wall_time_ns};
 use loopbound_shared::doorbell::Bell;
 use loopbound_shared::event::{Phase, Role};
 use loopbound_shared::group::runtime_folder;
@@ -156,21 +156,15 @@ impl<'a, const N: usize> Watch<'a, N> {
     fn open(args: &'a MonitorArgs, joined: &'a Joined) -> Result<Self, RoleError> {
         let scenario = &joined.scenario;
         let lockstep = scenario.loop_.mode == Mode::Lockstep;
-        let config = Config {
-            period_ns: scenario.period_ns(),
-            late_ns: scenario.loop_.late_ns(),
-            settle_ns: scenario.loop_.settle_ns(),
-            start_up_ns: scenario.loop_.start_up.ns(),
-            finalise_ns: scenario.monitor.finalise.ns(),
-            lockstep,
-        };
+        let config = Config::of(scenario);
         let other = |e: &dyn std::fmt::Display| RoleError::Other(e.to_string());
         let judge = Judge::new(scenario).map_err(|e| other(&e))?;
         let recorder = match &args.out {
             None => None,
             Some(folder) => {
                 let lossless = lockstep && args.managed;
-                let recorder = Recorder::start(folder, N, wall_time_ns(), lossless);
+                let recorder =
+                    Recorder::start(folder, N, wall_time_ns(), lossless, seconds(scenario.monitor.trace.ns()));
                 Some(recorder.map_err(|e| RoleError::Other(format!("{}: {e}", folder.display())))?)
             }
         };

@@ -7,6 +7,7 @@ use loopbound_shared::event::{Acceptance, Decision};
 use loopbound_shared::sample::{
     Announce, Counters, Happening, Links, Receipt, Segment, TickRecord, record_flag, to_vector,
 };
+use loopbound_shared::scenario::{Mode, Scenario};
 
 use crate::event::{Event, EventKind, EventLog};
 use crate::hops::{Hop, Hops};
@@ -32,6 +33,21 @@ pub struct Config {
     pub finalise_ns: u64,
     /// Virtual time: there is no start-up, and no host.
     pub lockstep: bool,
+}
+
+impl Config {
+    /// What a scenario says of it.
+    #[must_use]
+    pub fn of(scenario: &Scenario) -> Self {
+        Self {
+            period_ns: scenario.period_ns(),
+            late_ns: scenario.loop_.late_ns(),
+            settle_ns: scenario.loop_.settle_ns(),
+            start_up_ns: scenario.loop_.start_up.ns(),
+            finalise_ns: scenario.monitor.finalise.ns(),
+            lockstep: scenario.loop_.mode == Mode::Lockstep,
+        }
+    }
 }
 
 /// What one record came to, for `samples.csv` and live views.
@@ -190,6 +206,12 @@ impl<const N: usize> Tracker<N> {
         if let Some(judge) = &mut self.judge {
             judge.learn(announce);
         }
+    }
+
+    /// Changes of the controller in charge so far.
+    #[must_use]
+    pub fn swaps(&self) -> &Swaps {
+        &self.swaps
     }
 
     /// Whether the record is newer than the last one; counts what lies between.

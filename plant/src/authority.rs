@@ -13,6 +13,9 @@ use loopbound_shared::sample::{
 
 use crate::swap::{Pending, SwapRules, Watch};
 
+#[cfg(test)]
+mod tests;
+
 /// Whether a member is obeyed, ready to be, or neither.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standing {
@@ -38,6 +41,8 @@ pub(crate) struct Member {
     pub(crate) answered_ns: u64,
     /// Whether anything of it came in the open tick, good or not.
     heard: bool,
+    /// Whether that was good and on time, also of a fenced one.
+    good: bool,
     /// On-time, finite answers in a row.
     pub(crate) streak: u32,
 }
@@ -163,8 +168,15 @@ impl Authority {
         }
         if self.member(id).is_none() {
             let place = self.members.iter_mut().find(|m| m.is_none()).ok_or(Refusal::Busy)?;
-            *place =
-                Some(Member { id, standing: Standing::Standby, answer: None, answered_ns: 0, heard: false, streak: 0 });
+            *place = Some(Member {
+                id,
+                standing: Standing::Standby,
+                answer: None,
+                answered_ns: 0,
+                heard: false,
+                good: false,
+                streak: 0,
+            });
             self.happen(HappeningKind::MemberAdded, id, 0, 0.0);
         }
         Ok(())
@@ -216,10 +228,11 @@ impl Authority {
         self.receipts = [Receipt::zeroed(); RECEIPTS_MAX];
         for member in self.members.iter_mut().flatten() {
             // Nothing good came in the tick before: the streak is over.
-            if member.answer.is_none() {
+            if !member.good {
                 member.streak = 0;
             }
-            (member.answer, member.answered_ns, member.heard) = (None, 0, false);
+            (member.answer, member.answered_ns) = (None, 0);
+            (member.heard, member.good) = (false, false);
         }
     }
 
@@ -255,20 +268,30 @@ impl Authority {
         self.decision.is_some()
     }
 
-    /// Judges a torque that arrived; returns it if it is to act.
+    /// Judges a torque that arrived; returns what is to act from now on, if anything new is.
     pub fn offer(&mut self, torque: &Torque, arrived_ns: u64) -> Option<Applied> {
+        // A loop that was kept from running finds a late torque before it has looked at the clock: the tick is missed
+        // all the same, and a standby that was in time goes first.
+        let taken_over = if arrived_ns > self.grace_ns { self.grace_passed(arrived_ns) } else { None };
+        let used = self.consider(torque, arrived_ns);
+        debug_assert!(taken_over.is_none() || used.is_none(), "a tick is settled once");
+        taken_over.or(used)
+    }
+
+    fn consider(&mut self, torque: &Torque, arrived_ns: u64) -> Option<Applied> {
         let acceptance = self.judge(torque, arrived_ns);
         self.count(acceptance, torque);
         if acceptance != Acceptance::Stale {
             self.note_receipt(torque, arrived_ns, acceptance);
         }
         match acceptance {
+            Acceptance::Standby if self.active_failed() => self.fail_over(arrived_ns),
             Acceptance::Applied if self.blending() => self.blend_if_complete(arrived_ns),
             Acceptance::Applied => Some(self.settle(Decision::Active, torque, arrived_ns)),
             Acceptance::Late => Some(self.settle(Decision::ActiveLate, torque, arrived_ns)),
             Acceptance::Standby if self.blending() => self.blend_if_complete(arrived_ns),
             // The active one has failed visibly in this tick, or its time is over: this standby takes over.
-            Acceptance::Standby | Acceptance::LateUnused if self.active_failed() => self.fail_over(arrived_ns),
+            Acceptance::LateUnused if self.active_failed() => self.fail_over(arrived_ns),
             Acceptance::NotFinite | Acceptance::Malformed | Acceptance::Withheld if self.active_failed() => {
                 self.fail_over(arrived_ns)
             }
@@ -278,8 +301,7 @@ impl Authority {
 
     /// The grace deadline of the open tick has passed (once a tick): a standby takes over, or the tick is missed.
     pub fn grace_passed(&mut self, now_ns: u64) -> Option<Applied> {
-        self.grace_passed = true;
-        if self.decision.is_some() {
+        if std::mem::replace(&mut self.grace_passed, true) || self.decision.is_some() {
             return None;
         }
         // In a blend the new controller's torque alone will do: the old one is on its way out.
@@ -318,8 +340,12 @@ impl Authority {
         if !torque.tau.iter().all(|x| x.is_finite()) {
             return Acceptance::NotFinite;
         }
-        let on_time =
-            arrived_ns <= grace_ns || (torque.published_ns <= grace_ns && member.standing != Standing::Active);
+        // A standby's answer may lie unread until the active one's is missing, so its own stamp counts; but only one
+        // that can be true: a clock that jumped is no excuse.
+        let stamp_is_possible = (torque.state_published_ns..=arrived_ns).contains(&torque.published_ns);
+        let was_in_time = stamp_is_possible && torque.published_ns <= grace_ns && member.standing != Standing::Active;
+        let on_time = arrived_ns <= grace_ns || was_in_time;
+        member.good = on_time;
         if on_time {
             member.streak = member.streak.saturating_add(1);
             if matches!(member.standing, Standing::Fenced { .. }) && member.streak >= READMIT_AFTER {
@@ -405,7 +431,7 @@ impl Authority {
         let failed = self.active;
         self.hand_over(id, Some(failed));
         self.swaps.forget_switch();
-        self.watch = None;
+        self.end_watch_by_failover(failed);
         self.counters.failovers += 1;
         self.happen(HappeningKind::Failover, id, u64::from(failed), 0.0);
         Some(self.settle(Decision::Standby, &answer?, now_ns))

@@ -64,8 +64,8 @@ pub struct PlantCore<const N: usize> {
     record: Box<TickRecord>,
     closed: Box<TickRecord>,
     has_closed: bool,
-    /// V at the start of the open tick, while a switch is being watched.
-    watched_v: Option<f64>,
+    /// V at the start of the open tick, and in whose law, while a switch is being watched.
+    watched_v: Option<(u32, f64)>,
 }
 
 impl<const N: usize> PlantCore<N> {
@@ -105,7 +105,8 @@ impl<const N: usize> PlantCore<N> {
 
     /// Learns which law a controller claims to be.
     pub fn learn(&mut self, announce: &loopbound_shared::sample::Announce) {
-        self.laws.learn(announce);
+        let authority = &self.authority;
+        self.laws.learn(announce, |id| authority.member_ids().any(|member| member == id));
     }
 
     /// Closes the tick before, changes authority where that is due, and opens a tick: what is to be published.
@@ -198,6 +199,14 @@ impl<const N: usize> PlantCore<N> {
         self.has_closed.then_some(&*self.closed)
     }
 
+    /// Counts an overrun of so many ticks, none if 0. Those before a tick that is opened are counted by
+    /// [`PlantCore::open`]; the loop counts those that the end of the run cuts off.
+    pub fn count_skipped(&mut self, ticks: u64) {
+        self.authority.counters.skipped += ticks;
+        self.authority.counters.missed += ticks;
+        self.authority.counters.overruns += u64::from(ticks > 0);
+    }
+
     /// Ends the last tick at `end_ns`; its record is marked as the last.
     pub fn finish(&mut self, end_ns: u64) -> &TickRecord {
         self.record.flags |= record_flag::LAST;
@@ -217,9 +226,12 @@ impl<const N: usize> PlantCore<N> {
         let done = Reply { kind: ReplyKind::Done.code(), tick: self.authority.tick(), ..Reply::zeroed() };
         let outcome = match CommandKind::from_code(command.kind) {
             Some(CommandKind::AddMember) => self.authority.add(command.controller),
-            Some(CommandKind::RemoveMember) => self.authority.remove(command.controller),
+            Some(CommandKind::RemoveMember) => {
+                self.laws.forget(command.controller);
+                self.authority.remove(command.controller)
+            }
             Some(CommandKind::Swap) => return self.authority.request_swap(command),
-            Some(CommandKind::SwapStatus) => return self.authority.swap_status(),
+            Some(CommandKind::SwapStatus) => return self.authority.swap_status(command.controller),
             Some(CommandKind::Start | CommandKind::StopAt) | None => Err(Refusal::BadCommand),
         };
         outcome.map_or_else(Authority::refused, |()| done)
@@ -235,7 +247,9 @@ impl<const N: usize> PlantCore<N> {
         }
         record.accepted_ns = applied.from_ns;
         [record.used_q_d, record.used_v_d, record.used_a_d] = applied.setpoint;
-        self.fallback.answered();
+        if let Some(ticks) = self.fallback.answered() {
+            self.authority.happen(HappeningKind::Fallback, Decision::Active.code(), ticks, 0.0);
+        }
         self.enqueue(Segment {
             from_plant_ns: applied.from_ns - self.t_0_ns + self.actuation_delay_ns,
             answered_tick: tick,
@@ -294,7 +308,8 @@ impl<const N: usize> PlantCore<N> {
 
     fn close(&mut self, end_ns: u64, end_plant_ns: u64, skipped: u64) {
         if self.record.links == 0 {
-            // Nothing is open before the first tick.
+            // Nothing is open before the first tick, but ticks may have been skipped already.
+            self.count_skipped(skipped);
             self.plant_ns = end_plant_ns;
             return;
         }
@@ -306,9 +321,7 @@ impl<const N: usize> PlantCore<N> {
             self.fallback.unanswered(&self.record, v, &self.acting.tau);
         }
         self.authority.close(decision);
-        self.authority.counters.skipped += skipped;
-        self.authority.counters.missed += skipped;
-        self.authority.counters.overruns += u64::from(skipped > 0);
+        self.count_skipped(skipped);
         let (receipts, receipts_used) = self.authority.receipts();
         let record = &mut self.record;
         record.end_ns = end_ns;
@@ -391,7 +404,8 @@ impl<const N: usize> PlantCore<N> {
         });
     }
 
-    /// Promise (a) over the tick that was just closed; looked at only while a switch is being watched.
+    /// Promise (a) over the tick that was just closed; looked at only while a switch is being watched. It is the
+    /// promise of one law whose torque acts in time: a cross-fade, a late torque and a second switch promise nothing.
     fn promise_held(&mut self, tick: u64) -> bool {
         if self.authority.watch.is_none() {
             self.watched_v = None;
@@ -400,9 +414,12 @@ impl<const N: usize> PlantCore<N> {
         let active = self.authority.active().0;
         let setpoint = self.setpoint_value(tick, self.plant_offset(tick));
         let Some((certificate, v)) = self.laws.v_of(active, &self.state, &setpoint) else { return true };
-        let before = self.watched_v.replace(v);
+        let before = self.watched_v.replace((active, v)).filter(|(of, _)| *of == active);
         let h_ns = self.closed.end_plant_ns - self.closed.start_plant_ns;
-        before.is_none_or(|before| before > certificate.level || Laws::<N>::promise_holds(certificate, before, v, h_ns))
+        self.closed.decision != Decision::Active.code()
+            || before.is_none_or(|(_, before)| {
+                before > certificate.level || Laws::<N>::promise_holds(certificate, before, v, h_ns)
+            })
     }
 
     fn plant_offset(&self, tick: u64) -> u64 {

@@ -11,6 +11,9 @@ use loopbound_shared::sample::{Links, TickRecord};
 use loopbound_shared::scenario::{Scenario, ScenarioError};
 use loopbound_shared::system;
 
+#[cfg(test)]
+mod tests;
+
 /// Below this speed of every link (rad/s) braking counts as a stop.
 const STOPPED_RAD_S: f64 = 1e-3;
 /// The damping is this share of what sampling allows (K h < 2 λ_min, see [11]) …
@@ -49,12 +52,11 @@ impl<const N: usize> Fallback<N> {
         })
     }
 
-    /// A controller's torque was accepted: the ladder is left.
-    pub(crate) fn answered(&mut self) {
-        if self.rung != Decision::Held {
-            self.changed = true;
-        }
-        (self.ticks, self.rung) = (0, Decision::Held);
+    /// A controller's torque was accepted: the ladder is left. How many ticks it took, if the plant had to brake.
+    pub(crate) fn answered(&mut self) -> Option<u64> {
+        let ticks = (self.rung != Decision::Held).then_some(self.ticks);
+        (self.ticks, self.rung, self.changed) = (0, Decision::Held, false);
+        ticks
     }
 
     /// The tick of `record` went unanswered; `v` is V of `robust` at its start if that is certified.

@@ -4,7 +4,7 @@
 use loopbound_shared::bound::certificate::Certificate;
 use loopbound_shared::chain::Chain;
 use loopbound_shared::clock::seconds;
-use loopbound_shared::event::Role;
+use loopbound_shared::event::{Phase, Role};
 use loopbound_shared::integrator::PlantState;
 use loopbound_shared::law::{LawInput, LawKind};
 use loopbound_shared::sample::{Announce, RECEIPTS_MAX, TickRecord, to_vector};
@@ -33,9 +33,10 @@ impl<const N: usize> Laws<N> {
         Ok(Self { true_chain: scenario.build_truth()?.chain, certificates, claims: [None; RECEIPTS_MAX] })
     }
 
-    /// A controller claims a law; only one whose gains are those of the scenario's certificate counts as it.
-    pub(crate) fn learn(&mut self, announce: &Announce) {
-        if announce.role != Role::Controller.code() {
+    /// A controller claims a law; only one whose gains are those of the scenario's certificate counts as it. When all
+    /// places are taken, one whose controller is no member any more is given away.
+    pub(crate) fn learn(&mut self, announce: &Announce, is_member: impl Fn(u32) -> bool) {
+        if announce.role != Role::Controller.code() || announce.phase != Phase::Ready.code() {
             return;
         }
         let law = (announce.law as usize).checked_sub(1).filter(|law| *law < self.certificates.len());
@@ -51,13 +52,19 @@ impl<const N: usize> Laws<N> {
         };
         let law = law.filter(same_gains);
         let id = announce.id;
+        self.forget(id);
+        let Some(law) = law else { return };
+        let free = self.claims.iter().position(Option::is_none);
+        let left = || self.claims.iter().position(|c| c.is_some_and(|(of, _)| !is_member(of)));
+        if let Some(place) = free.or_else(left) {
+            self.claims[place] = Some((id, law));
+        }
+    }
+
+    /// Controller `id` is no member any more.
+    pub(crate) fn forget(&mut self, id: u32) {
         for claim in self.claims.iter_mut().filter(|c| c.is_some_and(|(of, _)| of == id)) {
             *claim = None;
-        }
-        if let Some(law) = law
-            && let Some(place) = self.claims.iter_mut().find(|c| c.is_none())
-        {
-            *place = Some((id, law));
         }
     }
 

@@ -5,8 +5,9 @@ use std::sync::atomic::Ordering;
 
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::Bell;
+use loopbound_shared::fault::ROGUE_WRITER;
 use loopbound_shared::role;
-use loopbound_shared::sample::{RECEIPTS_MAX, State, Torque};
+use loopbound_shared::sample::{RECEIPTS_MAX, State, Torque, torque_flag};
 use loopbound_shared::scenario::Scenario;
 
 use crate::core::{Opening, PlantCore};
@@ -158,10 +159,24 @@ pub fn judge<const N: usize>(core: &mut PlantCore<N>, answers: &mut [Torque], ti
             core.authority.count_stale();
         } else {
             core.arrive(torque, arrives_ns);
+            suffer_injected(core, torque, arrives_ns);
         }
     }
     if !grace_passed {
         core.grace_passed(grace_ns);
+    }
+}
+
+/// What in realtime are further samples: here the torque itself says that they come, so that no two runs differ.
+fn suffer_injected<const N: usize>(core: &mut PlantCore<N>, torque: &Torque, arrives_ns: u64) {
+    if torque.flags & torque_flag::TWICE != 0 {
+        core.arrive(torque, arrives_ns);
+    }
+    if torque.flags & torque_flag::AFTER_ITS_TIME != 0 {
+        core.authority.count_stale();
+    }
+    if torque.flags & torque_flag::ROGUE != 0 {
+        core.arrive(&Torque { writer: ROGUE_WRITER, flags: 0, ..*torque }, arrives_ns);
     }
 }
 

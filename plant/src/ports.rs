@@ -7,7 +7,7 @@ use loopbound_shared::event::{CommandKind, Refusal, ReplyKind};
 use loopbound_shared::fault::FaultPlan;
 use loopbound_shared::ports::{CommandServer, Publisher, Subscriber};
 use loopbound_shared::role::{Joined, RoleError};
-use loopbound_shared::sample::{Announce, Reply, Setpoint, State, TickRecord, Torque, state_flag};
+use loopbound_shared::sample::{Announce, Reply, Setpoint, State, TickRecord, Torque, WARM_UP_TICK, state_flag};
 use loopbound_shared::scenario::Role;
 use loopbound_shared::wakeup::{Ringer, Waiter};
 
@@ -67,6 +67,16 @@ impl Ports {
         let _ = self.announce.update_connections();
         let _ = self.announces.update_connections();
         let _ = self.commands.update_connections();
+    }
+
+    /// The next torque that is meant for a tick: answers to the warm-up may still come when the first one is open.
+    pub(crate) fn next_torque(&self) -> Option<Torque> {
+        loop {
+            let torque = self.torques.take()?;
+            if torque.tick != WARM_UP_TICK {
+                return Some(torque);
+            }
+        }
     }
 
     /// Enters all setpoints that have come.

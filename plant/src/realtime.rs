@@ -75,13 +75,44 @@ pub(crate) fn run<const N: usize>(core: &mut PlantCore<N>, ports: &Ports, stoppe
     let scenario = &ports.joined.scenario;
     let times = Times::of(scenario, first_deadline(scenario));
     core.start_at(times.t_0_ns);
+    exchange(core, ports, times.t_0_ns - times.period_ns);
     let mut tick = 0;
+    let mut duty = Duty { awake_since_ns: clock::now_ns() };
     while !stopped() && orders.stop_at.is_none_or(|stop| tick < stop) {
-        tick = one_tick(core, ports, &times, tick, &mut evidence, &mut orders) + 1;
+        let wake_late_ns = duty.sleep_until(times.deadline_ns(tick) - times.lead_ns);
+        tick = one_tick(core, ports, &times, tick, wake_late_ns, &mut evidence, &mut orders) + 1;
     }
     clock::sleep_until_ns(times.deadline_ns(tick));
     core.finish(clock::now_ns());
     publish_closed(core, ports);
+}
+
+/// Sees to it that this process sleeps now and then also when it is overloaded: a real-time thread that never does is
+/// stopped by the kernel for 50 ms every second, and ended by its own run-away guard after half a second.
+struct Duty {
+    awake_since_ns: u64,
+}
+
+impl Duty {
+    /// The longest time without sleep, and the sleep that is then forced; the ticks it costs are overruns.
+    const AWAKE_MAX_NS: u64 = 100_000_000;
+    const REST_NS: u64 = 15_000_000;
+
+    /// Sleeps, and returns how late the kernel ended it: the noise floor of the run. A sleep that was due already says
+    /// nothing about the host, and returns the largest number.
+    fn sleep_until(&mut self, deadline_ns: u64) -> u64 {
+        let now_ns = clock::now_ns();
+        let on_time = deadline_ns > now_ns;
+        if on_time {
+            clock::sleep_until_ns(deadline_ns);
+        } else if now_ns - self.awake_since_ns > Self::AWAKE_MAX_NS {
+            clock::sleep_until_ns(now_ns + Self::REST_NS);
+        } else {
+            return u64::MAX;
+        }
+        self.awake_since_ns = clock::now_ns();
+        if on_time { self.awake_since_ns - deadline_ns } else { u64::MAX }
+    }
 }
 
 fn first_deadline(scenario: &Scenario) -> u64 {
@@ -91,45 +122,54 @@ fn first_deadline(scenario: &Scenario) -> u64 {
 
 /// Exchanges states and torques that count for nothing, and runs the whole tick's code.
 fn warm_up<const N: usize>(core: &mut PlantCore<N>, ports: &Ports, evidence: &mut EvidenceReader) {
-    let (block, links) = (&ports.joined.block, u32::try_from(N).unwrap_or(0));
     for _ in 0..WARM_UP_ROUNDS {
-        let now_ns = clock::now_ns();
-        ports.states.send(State {
-            deadline_ns: now_ns,
-            published_ns: now_ns,
-            active: core.authority.active().0,
-            epoch: core.authority.active().1,
-            flags: state_flag::WARM_UP,
-            links,
-            ..State::zeroed()
-        });
-        ports.state_bell.ring(block);
-        ports.torque_bell.wait(block, now_ns, now_ns + 300_000, &mut 0, || ports.torques.take());
+        exchange(core, ports, 0);
         // Readers pass over a record without links.
         ports.records.send(TickRecord::zeroed());
         ports.update_connections();
         std::hint::black_box(evidence.read());
     }
     core.rehearse();
-    while ports.torques.take().is_some() {}
 }
 
-/// One tick; returns the tick that was run, which is later than `tick` after an overrun.
+/// One exchange of the warm-up; `deadline_ns` is one period before t_0 once that is known.
+fn exchange<const N: usize>(core: &PlantCore<N>, ports: &Ports, deadline_ns: u64) {
+    let block = &ports.joined.block;
+    let (now_ns, (active, epoch)) = (clock::now_ns(), core.authority.active());
+    ports.states.send(State {
+        deadline_ns,
+        published_ns: now_ns,
+        active,
+        epoch,
+        flags: state_flag::WARM_UP,
+        links: u32::try_from(N).unwrap_or(0),
+        ..State::zeroed()
+    });
+    ports.state_bell.ring(block);
+    ports.torque_bell.wait(block, now_ns, now_ns + 300_000, &mut 0, || ports.torques.take());
+}
+
+/// One tick; returns the tick that was run or skipped last, which is later than `tick` after an overrun.
 fn one_tick<const N: usize>(
     core: &mut PlantCore<N>,
     ports: &Ports,
     times: &Times,
     tick: u64,
+    wake_late_ns: u64,
     evidence: &mut EvidenceReader,
     orders: &mut Orders,
 ) -> u64 {
     let block = &ports.joined.block;
     let mut gap_ns = 0;
-    let wake_late_ns = sleep_and_probe(times.deadline_ns(tick) - times.lead_ns);
     let joined_ns = prepare(core, ports);
     let sampled_ns = wait_for_deadline(ports, times.deadline_ns(tick), &mut gap_ns);
     // An overrun: the ticks whose end has passed are skipped and counted, never published.
     let skipped = (sampled_ns - times.deadline_ns(tick)) / times.period_ns;
+    if let Some(stop) = orders.stop_at.filter(|stop| tick + skipped >= *stop) {
+        // The overrun passed the end of the run: no tick is left to open.
+        core.count_skipped(stop - tick);
+        return stop - 1;
+    }
     let tick = tick + skipped;
     let mut state = core.open(Opening {
         tick,
@@ -157,14 +197,6 @@ fn one_tick<const N: usize>(
     tick
 }
 
-/// Sleeps, and returns how late the kernel ended it: the noise floor of the run. A sleep that was due already says
-/// nothing about the host, and returns the largest number.
-fn sleep_and_probe(until_ns: u64) -> u64 {
-    let sleeps = clock::now_ns() < until_ns;
-    clock::sleep_until_ns(until_ns);
-    if sleeps { clock::now_ns().saturating_sub(until_ns) } else { u64::MAX }
-}
-
 /// In the slack before the deadline: maps what joined (its time if it was long), takes what came late.
 fn prepare<const N: usize>(core: &mut PlantCore<N>, ports: &Ports) -> Option<u64> {
     let from_ns = clock::now_ns();
@@ -172,7 +204,9 @@ fn prepare<const N: usize>(core: &mut PlantCore<N>, ports: &Ports) -> Option<u64
     let took_ns = clock::now_ns() - from_ns;
     ports.drain_setpoints(core);
     // Anything still here came after the cut-off: another tick's by the time it could act.
-    while ports.torques.take_with(|torque| core.authority.too_late(torque)).is_some() {}
+    while let Some(torque) = ports.next_torque() {
+        core.authority.too_late(&torque);
+    }
     (took_ns > JOIN_NS).then_some(took_ns)
 }
 
@@ -194,14 +228,14 @@ fn await_torque<const N: usize>(
     gap_ns: &mut u64,
 ) {
     let block = &ports.joined.block;
-    for until_ns in [grace_deadline_ns, cutoff_ns] {
+    for (until_ns, at_grace) in [(grace_deadline_ns, true), (cutoff_ns, false)] {
         ports.torque_bell.wait(block, clock::now_ns(), until_ns, gap_ns, || {
-            while let Some(torque) = ports.torques.take() {
+            while let Some(torque) = ports.next_torque() {
                 core.arrive(&torque, clock::now_ns());
             }
             core.authority.is_settled().then_some(())
         });
-        if until_ns == grace_deadline_ns {
+        if at_grace {
             // Also when all is settled: the authority wants to know once a tick.
             core.grace_passed(clock::now_ns());
         }

@@ -4,11 +4,17 @@
 //! taken back while it is being watched. Everything is decided by ticks, never by a clock, so that lockstep decides
 //! alike every time.
 
+use std::collections::VecDeque;
+
+use loopbound_shared::chain::LINKS_MAX;
 use loopbound_shared::event::{HappeningKind, Refusal, ReplyKind};
 use loopbound_shared::sample::{Command, Links, Reply};
 use loopbound_shared::scenario::Scenario;
 
 use crate::authority::{Authority, Standing};
+
+#[cfg(test)]
+mod tests;
 
 /// The rules of `[swap_gate]`, in ticks.
 #[derive(Clone, Copy, Debug)]
@@ -29,6 +35,8 @@ pub struct SwapRules {
     pub rollback_ticks: u64,
     /// The period, for blend times.
     pub period_ns: u64,
+    /// What the joints can give, N·m.
+    pub torque_limit_nm: Links,
 }
 
 impl SwapRules {
@@ -46,8 +54,18 @@ impl SwapRules {
             rollback_window: gate.rollback_window,
             rollback_ticks: ticks(gate.rollback_for.ns()),
             period_ns,
+            torque_limit_nm: limits(scenario),
         }
     }
+}
+
+/// One entry a joint, infinite where nothing is limited.
+fn limits(scenario: &Scenario) -> Links {
+    let mut limits = [f64::INFINITY; LINKS_MAX];
+    for (limit, written) in limits.iter_mut().zip(scenario.plant.torque_limit_nm()) {
+        *limit = written;
+    }
+    limits
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -71,15 +89,33 @@ struct Switch {
 pub struct Pending {
     requests: Vec<Request>,
     last: Option<Switch>,
-    outcome: Option<Reply>,
+    /// How the latest swaps went, by the controller that was to take over.
+    outcomes: VecDeque<(u32, Reply)>,
 }
 
 /// Swaps that can wait at once.
 const REQUESTS_MAX: usize = 64;
+/// Outcomes that are kept: whoever asked for a swap looks soon.
+const OUTCOMES_MAX: usize = 8;
 
 impl Pending {
     pub(crate) fn new() -> Self {
-        Self { requests: Vec::with_capacity(REQUESTS_MAX), last: None, outcome: None }
+        let outcomes = VecDeque::with_capacity(OUTCOMES_MAX);
+        Self { requests: Vec::with_capacity(REQUESTS_MAX), last: None, outcomes }
+    }
+
+    fn conclude(&mut self, to: u32, outcome: Reply) {
+        self.outcomes.retain(|(of, _)| *of != to);
+        if self.outcomes.len() == OUTCOMES_MAX {
+            self.outcomes.pop_front();
+        }
+        self.outcomes.push_back((to, outcome));
+    }
+
+    /// The request to be looked at in `tick`: a named tick is kept, whatever else waits for its gate.
+    fn due(&self, tick: u64) -> Option<usize> {
+        let named = self.requests.iter().position(|r| r.at_tick != 0 && r.at_tick <= tick);
+        named.or_else(|| self.requests.iter().position(|r| r.at_tick == 0))
     }
 
     /// The controller faded from and the weight of the new one, while a cross-fade lasts.
@@ -125,7 +161,7 @@ impl Authority {
         if command.tick != 0 && command.tick <= self.tick && self.counters.ticks > 0 {
             return Self::refused(Refusal::TickPassed);
         }
-        self.swaps.outcome = None;
+        self.swaps.outcomes.retain(|(of, _)| *of != command.controller);
         self.swaps.requests.push(Request {
             to: command.controller,
             at_tick: command.tick,
@@ -136,21 +172,19 @@ impl Authority {
         Reply { kind: ReplyKind::Pending.code(), tick: command.tick, ..Reply::zeroed() }
     }
 
-    /// How the swap asked for last is doing.
+    /// How the swap to controller `to` is doing. One that was never asked for counts as pending.
     #[must_use]
-    pub fn swap_status(&self) -> Reply {
-        match self.swaps.outcome {
-            Some(outcome) if self.swaps.requests.is_empty() => outcome,
-            _ => Reply { kind: ReplyKind::Pending.code(), ..Reply::zeroed() },
-        }
+    pub fn swap_status(&self, to: u32) -> Reply {
+        let waits = self.swaps.requests.iter().any(|request| request.to == to);
+        let outcome = self.swaps.outcomes.iter().find(|(of, _)| *of == to).filter(|_| !waits);
+        outcome.map_or(Reply { kind: ReplyKind::Pending.code(), ..Reply::zeroed() }, |(_, outcome)| *outcome)
     }
 
     /// Carries out what is due at the boundary before `tick`: rollback first, then at most one swap. Call before
     /// [`Authority::open`], while the answers of the tick before are still there.
     pub fn switch_if_due(&mut self, tick: u64, promise_held: bool, judge: &impl Judge) {
         self.watch_switch(tick, promise_held);
-        let due = |r: &Request| r.at_tick <= tick;
-        let Some(at) = self.swaps.requests.iter().position(due) else { return };
+        let Some(at) = self.swaps.due(tick) else { return };
         let request = self.swaps.requests[at];
         match self.gate(&request, tick, judge) {
             Ok(step_nm) => {
@@ -168,7 +202,7 @@ impl Authority {
                     self.swaps.requests.remove(at);
                     self.happen(HappeningKind::SwapRefused, request.to, u64::from(reason.code()), value);
                     let kind = ReplyKind::Refused.code();
-                    self.swaps.outcome = Some(Reply { kind, reason: reason.code(), tick, value, limit });
+                    self.swaps.conclude(request.to, Reply { kind, reason: reason.code(), tick, value, limit });
                 }
             }
         }
@@ -184,6 +218,11 @@ impl Authority {
         let Some(new) = to.answer else { return Err((Refusal::NotOnTime, 0.0, f64::from(rules.consecutive))) };
         if matches!(to.standing, Standing::Fenced { .. }) {
             return Err((Refusal::NotOnTime, f64::from(to.streak), f64::from(rules.consecutive)));
+        }
+        // Safety checks from here, which nobody may skip; the loop refuses what is not finite before it comes here.
+        if let Some((tau, limit)) = new.tau.iter().zip(&rules.torque_limit_nm).find(|(tau, limit)| tau.abs() > **limit)
+        {
+            return Err((Refusal::NotFinite, *tau, *limit));
         }
         let active = self.active;
         let old = self.member(active).and_then(|m| m.answer).map(|t| t.tau);
@@ -215,8 +254,16 @@ impl Authority {
         self.swaps.last = Some(Switch { from, tick, blend_ticks: request.blend_ticks });
         self.watch = Some(Watch { back_to: from, until_tick: tick + self.rules.rollback_ticks, misses: 0 });
         self.happen(HappeningKind::Swap, request.to, u64::from(from), step_nm);
-        self.swaps.outcome =
-            Some(Reply { kind: ReplyKind::Done.code(), tick, value: step_nm, reason: from, ..Reply::zeroed() });
+        let done = Reply { kind: ReplyKind::Done.code(), tick, value: step_nm, ..Reply::zeroed() };
+        self.swaps.conclude(request.to, done);
+    }
+
+    /// A failover takes authority from `failed`: a switch to it that was still being watched counts as taken back.
+    pub(crate) fn end_watch_by_failover(&mut self, failed: u32) {
+        if self.watch.take().is_some() {
+            let (kind, reason) = (ReplyKind::RolledBack.code(), Refusal::Deadlines.code());
+            self.swaps.conclude(failed, Reply { kind, reason, tick: self.tick, ..Reply::zeroed() });
+        }
     }
 
     /// Takes the last switch back when the tick before broke the promise, or too many ticks had no torque on time.
@@ -247,7 +294,7 @@ impl Authority {
         self.swaps.forget_switch();
         self.happen(HappeningKind::Rollback, watch.back_to, u64::from(reason.code()), 0.0);
         let kind = ReplyKind::RolledBack.code();
-        self.swaps.outcome = Some(Reply { kind, reason: reason.code(), tick, ..Reply::zeroed() });
+        self.swaps.conclude(active, Reply { kind, reason: reason.code(), tick, ..Reply::zeroed() });
     }
 }
 

@@ -20,7 +20,7 @@ use crate::clock;
 use crate::layout::{FNV_START, fnv1a};
 
 /// Processes of a group that can wait at a doorbell, each with a place of its own.
-pub const PLACES: usize = 32;
+pub const PLACES: usize = u32::BITS as usize;
 
 /// Which doorbell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,13 +34,14 @@ pub enum Bell {
 }
 
 const BELLS: usize = 3;
-const MAGIC: u64 = fnv1a(FNV_START, b"loopbound control block 1: bells 3, places 32, pace");
+const MAGIC: u64 = fnv1a(FNV_START, b"loopbound control block 2: bells 3, places 32, pace");
 
 #[repr(C, align(64))]
 struct BellWords {
     word: AtomicU32,
-    /// One mark a process, so that the mark of a killed waiter can be cleared without touching a live one's.
-    waiting: [AtomicU32; PLACES],
+    /// One bit a place, so that the mark of a killed waiter can be cleared without touching a live one's; in one word
+    /// beside the other, so that a ring looks at one cache line.
+    waiting: AtomicU32,
 }
 
 #[repr(C, align(64))]
@@ -152,7 +153,7 @@ impl ControlBlock {
         for (place, owner) in self.shared().places.iter().enumerate() {
             if owner.load(SeqCst) == pid {
                 for bell in &self.shared().bells {
-                    bell.waiting[place].store(0, SeqCst);
+                    bell.waiting.fetch_and(!(1 << place), SeqCst);
                 }
                 owner.store(0, SeqCst);
             }
@@ -163,17 +164,17 @@ impl ControlBlock {
     pub fn ring(&self, bell: Bell) {
         let bell = &self.shared().bells[bell as usize];
         bell.word.fetch_add(1, SeqCst);
-        if bell.waiting.iter().any(|mark| mark.load(SeqCst) != 0) {
+        if bell.waiting.load(SeqCst) != 0 {
             // A failed wake-up has no waiter to miss it; every wait has a timeout besides.
-            let _ = futex::wake(&bell.word, futex::Flags::empty(), u32::MAX);
+            let _ = futex::wake(&bell.word, futex::Flags::empty(), ALL);
         }
     }
 
     /// Looks by `look` until it finds something or the clock passes `until_ns`, sleeping at `bell` in between.
     pub fn wait<R>(&self, bell: Bell, until_ns: u64, mut look: impl FnMut() -> Option<R>) -> Option<R> {
         let bell = &self.shared().bells[bell as usize];
-        let mark = &bell.waiting[self.place];
-        mark.store(1, SeqCst);
+        let mark = 1 << self.place;
+        bell.waiting.fetch_or(mark, SeqCst);
         let found = loop {
             let seen = bell.word.load(SeqCst);
             if let Some(found) = look() {
@@ -186,11 +187,13 @@ impl ControlBlock {
             // Woken, changed, timed out or interrupted: in any case look again. The bitset form takes an absolute time.
             let _ = futex::wait_bitset(&bell.word, futex::Flags::empty(), seen, Some(&until), ANY);
         };
-        mark.store(0, SeqCst);
+        bell.waiting.fetch_and(!mark, SeqCst);
         found
     }
 }
 
+/// As many waiters as there can be. The kernel counts in a signed number: `u32::MAX` would be −1, and wake one alone.
+const ALL: u32 = i32::MAX.cast_unsigned();
 const ANY: std::num::NonZeroU32 = std::num::NonZeroU32::MAX;
 
 impl Drop for ControlBlock {
@@ -232,6 +235,39 @@ mod tests {
                 plant.ring(Bell::State);
                 let seen = plant.wait(Bell::Torque, far_ns, || (answered.load(SeqCst) == k).then_some(()));
                 assert!(seen.is_some(), "torque {k} was not seen");
+            }
+        });
+    }
+
+    #[test]
+    fn one_ring_wakes_everyone_who_waits() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("bell");
+        let plant = ControlBlock::create(&path).unwrap();
+        let (round, seen) = (AtomicU64::new(0), AtomicU64::new(0));
+        let far_ns = clock::now_ns() + 60_000_000_000;
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                let block = ControlBlock::open(&path).unwrap();
+                let (round, seen) = (&round, &seen);
+                scope.spawn(move || {
+                    for k in 1..=100 {
+                        let woken = block.wait(Bell::State, far_ns, || (round.load(SeqCst) >= k).then_some(()));
+                        assert!(woken.is_some(), "round {k} was slept through");
+                        seen.fetch_add(1, SeqCst);
+                    }
+                });
+            }
+            for k in 1..=100 {
+                // Long enough that all four are asleep as a rule: then the ring alone can wake them.
+                clock::sleep_ns(300_000);
+                round.store(k, SeqCst);
+                plant.ring(Bell::State);
+                let all_ns = clock::now_ns() + 10_000_000_000;
+                while seen.load(SeqCst) < 4 * k {
+                    assert!(clock::now_ns() < all_ns, "one ring woke {} of 4", seen.load(SeqCst) - 4 * (k - 1));
+                    clock::sleep_ns(50_000);
+                }
             }
         });
     }

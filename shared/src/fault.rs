@@ -15,6 +15,9 @@ const LANES: u32 = 2;
 /// Torque of a rogue without a value of its own (N·m): far from anything a law would say.
 const ROGUE_NM: f64 = 100.0;
 
+/// The number under which a rogue publishes: no controller ever has it.
+pub const ROGUE_WRITER: u32 = u32::MAX;
+
 /// What befalls a process in one tick. The default is nothing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FaultActions {

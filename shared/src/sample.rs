@@ -80,11 +80,15 @@ wire! {
     }
 }
 
+/// The tick that answers to warm-up states carry: that of no tick, so they can never act.
+pub const WARM_UP_TICK: u64 = u64::MAX;
+
 /// Flags of a [`State`].
 pub mod state_flag {
     /// The last state of the group: answer it no more, end.
     pub const LAST: u32 = 1;
-    /// Published before tick 0 to warm up both ends; answers are not applied.
+    /// Published before tick 0 to warm up both ends; answers carry [`WARM_UP_TICK`](super::WARM_UP_TICK). The deadline
+    /// is 0, or one period before t_0 once that is known.
     pub const WARM_UP: u32 = 2;
 }
 
@@ -134,6 +138,12 @@ pub mod torque_flag {
     pub const SETPOINT_STALE: u32 = 2;
     /// A fault was injected into this torque.
     pub const FAULT_INJECTED: u32 = 4;
+    /// Lockstep only: this torque counts as come twice (an injected fault). Two samples could arrive in two ticks.
+    pub const TWICE: u32 = 8;
+    /// Lockstep only: withheld in its tick, and counts as come in a later one (an injected fault).
+    pub const AFTER_ITS_TIME: u32 = 16;
+    /// Lockstep only: a stranger's torque counts as come beside this one (an injected fault).
+    pub const ROGUE: u32 = 32;
 }
 
 wire! {

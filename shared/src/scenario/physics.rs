@@ -287,8 +287,9 @@ pub struct GainsSection {
     pub k2: f64,
     /// K3 (1/(N·m·s⁻¹)), of the robust term.
     pub k3: f64,
-    /// C1 (N·m), the bound of the uncertainty.
-    pub c1: f64,
+    /// C1 (N·m), the bound of the uncertainty; default 40 for `robust`, and what the certificate requires for the
+    /// other laws, which know more of the plant.
+    pub c1: Option<f64>,
     /// c, the certified level of V.
     pub level: f64,
     /// K_p of `ctc` (1/s²) and `pd+g` (N·m).
@@ -309,7 +310,7 @@ impl Default for GainsSection {
             beta: 5.0,
             k2: 10.0,
             k3: 0.04,
-            c1: 40.0,
+            c1: None,
             level: 6.0,
             kp: 25.0,
             kd: 10.0,

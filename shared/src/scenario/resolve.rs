@@ -9,7 +9,7 @@ impl Scenario {
     /// The same scenario with all derived defaults in place.
     ///
     /// Three kinds of key stay absent, since their absence is a statement of its own: gains that the certificate derives
-    /// (`k_t`, `analyst_beta`), the window of a fault, and the choice between `law`, `exe` and `to`.
+    /// (`c1`, `k_t`, `analyst_beta`), the window of a fault, and the choice between `law`, `exe` and `to`.
     #[must_use]
     pub fn resolved(&self) -> Self {
         let mut full = self.clone();

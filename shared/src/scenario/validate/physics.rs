@@ -194,7 +194,7 @@ fn check_controller(scenario: &Scenario, links: usize) -> Result<(), ScenarioErr
     positive("controller.gains.beta", gains.beta)?;
     positive("controller.gains.k2", gains.k2)?;
     positive("controller.gains.k3", gains.k3)?;
-    positive("controller.gains.c1", gains.c1)?;
+    gains.c1.map_or(Ok(()), |c1| positive("controller.gains.c1", c1))?;
     positive("controller.gains.level", gains.level)?;
     positive("controller.gains.kp", gains.kp)?;
     positive("controller.gains.kd", gains.kd)?;

@@ -1,0 +1,15 @@
+//! Real process groups: the executable itself, with all its processes, over real shared memory.
+//!
+//! Every test has a group name of its own, takes the one turn there is (two groups on two cores would disturb each
+//! other), waits for nothing without an end, and leaves nothing behind: that is checked after every single one. No test
+//! asserts how long anything took on the clock, which is the machine's affair.
+
+mod fold;
+mod harness;
+
+mod attached;
+mod deaths;
+mod lockstep;
+mod realtime;
+mod strangers;
+mod usage;
