@@ -5,14 +5,15 @@ use loopbound_controller::{Controller, Input, parse_args, serve};
 use loopbound_shared::clock;
 
 /// Pages touched in one such tick: some 250 ns each at least, so their faults make the tick late.
-const PAGES: usize = 2_048;
+const PAGES: usize = 3_072;
 const PAGE_BYTES: usize = 4_096;
+/// Above the largest size that the allocator keeps for reuse: a fresh mapping every time.
+const BYTES: usize = 48 << 20;
 /// Ticks between two.
 const EVERY: u64 = 50;
 const OVERRUN_NS: u64 = 700_000;
 
 struct Misbehaving {
-    calls: u64,
     faults: bool,
 }
 
@@ -22,14 +23,12 @@ impl Controller for Misbehaving {
     }
 
     fn torque(&mut self, input: &Input<'_>, tau: &mut [f64]) {
-        self.calls += 1;
-        if self.calls.is_multiple_of(EVERY) && self.faults {
-            // A fresh mapping each time, far above the allocator's threshold. Locked memory is populated at once, without
-            // counted faults in the loop below, but the time is lost all the same.
-            let mut memory = vec![0u8; PAGES * PAGE_BYTES];
-            memory.iter_mut().step_by(PAGE_BYTES).for_each(|byte| *byte = 1);
+        let strikes = input.tick.is_multiple_of(EVERY) && input.tick > 0;
+        if strikes && self.faults {
+            let mut memory = vec![0u8; BYTES];
+            memory.iter_mut().step_by(PAGE_BYTES).take(PAGES).for_each(|byte| *byte = 1);
             std::hint::black_box(&memory);
-        } else if self.calls.is_multiple_of(EVERY) {
+        } else if strikes {
             let until_ns = clock::now_ns() + OVERRUN_NS;
             while clock::now_ns() < until_ns {
                 std::hint::spin_loop();
@@ -44,5 +43,5 @@ impl Controller for Misbehaving {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args = parse_args(std::env::args())?;
     let faults = std::env::var("MISBEHAVE").is_ok_and(|what| what == "page_fault");
-    Ok(serve(Misbehaving { calls: 0, faults }, &args)?)
+    Ok(serve(Misbehaving { faults }, &args)?)
 }

@@ -13,3 +13,4 @@ mod lockstep;
 mod realtime;
 mod strangers;
 mod usage;
+mod verdicts;
