@@ -1,14 +1,19 @@
 //! `loopbound bound`: the certificate of a scenario, without running it.
+//!
+//! Responsible for what is printed; the certificate is `shared`'s, what latency leaves of it is in [`sampling`].
+
+pub mod sampling;
 
 use std::io::Write as _;
 
 use clap::Args;
 use loopbound_shared::bound::certificate::{Certificate, Certification};
-use loopbound_shared::scenario::Scenario;
+use loopbound_shared::scenario::{Scenario, ScenarioError, parse_duration};
 use loopbound_shared::system;
 use loopbound_shared::with_links;
 use serde_json::{Value, json};
 
+use self::sampling::{Sampling, sampling};
 use crate::cli::ScenarioArgs;
 use crate::exit::{Exit, Failure};
 
@@ -18,6 +23,9 @@ pub struct BoundArgs {
     /// Whose certificate.
     #[command(flatten)]
     pub scenario: ScenarioArgs,
+    /// From a sample to the action of its torque, such as 100us; default the scenario's actuation delay.
+    #[arg(long, value_parser = parse_duration, value_name = "TIME")]
+    pub latency: Option<u64>,
     /// Print one JSON document.
     #[arg(long)]
     pub json: bool,
@@ -29,19 +37,24 @@ pub struct BoundArgs {
 /// If the scenario is refused or describes no system.
 pub fn run(args: &BoundArgs) -> anyhow::Result<Exit> {
     let scenario = args.scenario.load()?;
-    let certification =
-        with_links!(scenario.links(), certify::<N>(&scenario)).map_err(|e| Failure::usage(e.to_string()))?;
+    let latency_ns = args.latency.unwrap_or(scenario.plant.actuation_delay.ns());
+    let latency_s = latency_ns as f64 * 1e-9;
+    let (certification, sampling) =
+        with_links!(scenario.links(), examine::<N>(&scenario, latency_s)).map_err(|e| Failure::usage(e.to_string()))?;
     let mut out = std::io::stdout().lock();
     if args.json {
-        writeln!(out, "{}", to_json(&scenario, &certification))?;
+        writeln!(out, "{}", to_json(&scenario, &certification, &sampling))?;
     } else {
-        write!(out, "{}", render(&scenario, &certification))?;
+        let law = scenario.controller.law;
+        write!(out, "{}{}", render(&scenario, &certification), sampling.render(law))?;
     }
     Ok(if certification.certificate.is_certified() { Exit::Held } else { Exit::Failed })
 }
 
-fn certify<const N: usize>(scenario: &Scenario) -> Result<Certification, loopbound_shared::scenario::ScenarioError> {
-    system::certification::<N>(scenario, scenario.controller.law)
+fn examine<const N: usize>(scenario: &Scenario, latency_s: f64) -> Result<(Certification, Sampling), ScenarioError> {
+    let certification = system::certification::<N>(scenario, scenario.controller.law)?;
+    let sampling = sampling::<N>(scenario, &certification.certificate, latency_s)?;
+    Ok((certification, sampling))
 }
 
 /// Symbol, value, unit and meaning of every number that the law's certificate has.
@@ -94,7 +107,7 @@ fn render(scenario: &Scenario, certification: &Certification) -> String {
     text
 }
 
-fn to_json(scenario: &Scenario, certification: &Certification) -> Value {
+fn to_json(scenario: &Scenario, certification: &Certification, sampling: &Sampling) -> Value {
     let numbers: serde_json::Map<String, Value> =
         rows(&certification.certificate).into_iter().map(|(key, value, ..)| (key.to_owned(), json!(value))).collect();
     json!({
@@ -103,23 +116,56 @@ fn to_json(scenario: &Scenario, certification: &Certification) -> Value {
         "missing": certification.failures.iter().map(ToString::to_string).collect::<Vec<_>>(),
         "remedies": certification.remedies.iter().map(ToString::to_string).collect::<Vec<_>>(),
         "certificate": numbers,
+        "sampling": sampling.to_json(),
     })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use loopbound_shared::law::LawKind;
 
     #[test]
     fn the_papers_case_is_certified_and_a_small_c1_is_named_with_what_would_do() {
         let scenario = Scenario::default();
-        let good = certify::<3>(&scenario).unwrap();
+        let (good, sampling) = examine::<3>(&scenario, 0.0).unwrap();
         assert!(render(&scenario, &good).starts_with("robust: certified\n"));
-        let json = to_json(&scenario, &good);
+        let json = to_json(&scenario, &good, &sampling);
         // K_t of the defaults as the documentation states it: 106.8.
         assert!((json["certificate"]["k_t"].as_f64().unwrap() - 106.8).abs() < 0.05, "{json}");
         let scenario = scenario.with_set("controller.gains.c1=10").unwrap();
-        let text = render(&scenario, &certify::<3>(&scenario).unwrap());
+        let text = render(&scenario, &examine::<3>(&scenario, 0.0).unwrap().0);
         assert!(text.contains("NOT certified") && text.contains("C1") && text.contains("would do"), "{text}");
+    }
+
+    #[test]
+    fn the_latency_side_has_the_documented_room_age_and_hold_limit() {
+        let (_, sampling) = examine::<3>(&Scenario::default(), 0.0).unwrap();
+        let budget = sampling.budget.unwrap();
+        // Figures of the documentation: d < 0.948 ms, h < 1.90 ms without delay.
+        assert!((budget.delay_margin_s - 0.948e-3).abs() < 5e-7 && (budget.period_max_s - 1.9e-3).abs() < 5e-6);
+        assert!(sampling.radius < 1.0 && sampling.hold_ticks > 0);
+        // 1 kHz is not proven beforehand.
+        assert!(sampling.proven.is_some_and(|p| p.age_s < 1e-3), "{:?}", sampling.proven);
+        assert!(sampling.render(LawKind::Robust).contains("left to the live check"));
+    }
+
+    #[test]
+    fn a_latency_beyond_the_boundary_is_called_unstable_by_rule_and_radius_and_costs_the_smallest_w() {
+        let scenario = Scenario::default();
+        let (_, late) = examine::<3>(&scenario, 2e-3).unwrap();
+        assert!(
+            late.budget.unwrap().used > 1.0 && late.radius > 1.0 && late.render(LawKind::Robust).contains("UNSTABLE")
+        );
+        let w = |latency_s: f64| examine::<3>(&scenario, latency_s).unwrap().1.smallest_w.unwrap().w_norm;
+        assert!(w(1e-4) < w(1e-3), "a lower latency allows a larger gain and so a smaller radius");
+    }
+
+    #[test]
+    fn computed_torque_is_judged_by_its_spectral_radius_alone() {
+        let scenario = Scenario::default().with_set("controller.law=ctc").unwrap();
+        let (_, sampling) = examine::<3>(&scenario, 1e-3).unwrap();
+        assert!(sampling.budget.is_none() && sampling.smallest_w.is_none() && sampling.radius < 1.0);
+        assert!(sampling.to_json()["budget"].is_null() && sampling.radius_margin_s > 1e-3);
     }
 }

@@ -11,7 +11,7 @@ use loopbound_shared::role::RoleArgs;
 use loopbound_shared::scenario::{Mode, Scenario, Wakeup, parse_duration, parse_rate};
 
 use crate::exit::Exit;
-use crate::{bound, clean, doctor, model, pages, ps, replay, report, roles, run};
+use crate::{bound, check, clean, doctor, model, pages, ps, replay, report, roles, run, study, swap};
 
 /// kHz control loops split across processes over shared memory: latency measured to the nanosecond, and a Lyapunov
 /// bound checked live.
@@ -52,6 +52,15 @@ Examples:
   loopbound monitor --group lb-4711 --out results
   loopbound monitor --group lb-4711 --tui              live on the terminal")]
     Monitor(MonitorArgs),
+    /// Replace the controller in charge of a running group, without a missed tick.
+    #[command(after_help = "\
+Examples:
+  loopbound swap --group lb-4711 --law ctc             as soon as the gate passes
+  loopbound swap --group lb-4711 --law robust-ff --blend 20ms
+  loopbound swap --group lb-4711 --exe target/release/examples/my_controller --at-tick 5000
+  loopbound swap --group lb-4711 --to 2 --json         to the standby with number 2
+Exit code 4: refused or rolled back; the old controller is still in charge.")]
+    Swap(swap::SwapArgs),
     /// Feed a recorded run to the same code again: identical to the bit, or what if.
     #[command(after_help = "\
 Examples:
@@ -75,13 +84,32 @@ Examples:
     /// Remove what killed groups left in shared memory; running groups are not touched.
     #[command(after_help = "Example:\n  loopbound clean")]
     Clean,
+    /// Judge a recorded run by expectations, again or for the first time.
+    #[command(after_help = "\
+Examples:
+  loopbound check results                              by the expectations of its own scenario
+  loopbound check results --expect expect.toml --junit junit.xml
+Exit codes: 0 passed, 1 failed, 3 inconclusive.")]
+    Check(check::CheckArgs),
+    /// Compare two recorded runs: the ratio of each quantile with its confidence interval.
+    #[command(after_help = "Examples:\n  loopbound compare before after\n  loopbound compare before after --json")]
+    Compare(check::CompareArgs),
     /// Print the certificate of a scenario without running it.
     #[command(after_help = "\
 Examples:
   loopbound bound
   loopbound bound --law ctc --set controller.uncertainty.mass=0.1
+  loopbound bound --latency 100us                      what that latency leaves, and the best gains for it
   loopbound bound scenarios/mismatch.toml --json")]
     Bound(bound::BoundArgs),
+    /// Run many cases at once in lockstep, and write tables, pictures and conclusions.
+    #[command(after_help = "\
+Examples:
+  loopbound study paper                                the paper's figures and claims
+  loopbound study paper --quick --links 1,2,3,5,7
+  loopbound study delay --links 1,3,7 --out study      the stability boundary, measured and predicted
+  loopbound study rate --law robust-ff")]
+    Study(study::StudyArgs),
     /// Answer each line of JSON with M, C, G and the acceleration at that state.
     #[command(after_help = "\
 Example:
@@ -284,13 +312,17 @@ fn dispatch(command: Command) -> anyhow::Result<Exit> {
     match command {
         Command::Run(args) => run::run(&args),
         Command::Monitor(args) => roles::monitor(args),
+        Command::Swap(args) => swap::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Report(args) => report::run(&args),
         Command::Ps(args) => ps::run(args.json),
         Command::Doctor(args) => doctor(args.json),
         Command::Clean => clean::run(),
+        Command::Check(args) => check::check(&args),
+        Command::Compare(args) => check::compare(&args),
         Command::Bound(args) => bound::run(&args),
         Command::Model(args) => model::run(&args),
+        Command::Study(args) => study::run(&args),
         Command::Completions { shell } => pages::completions(shell, &mut Cli::command()),
         Command::Man { out } => pages::manual(out.as_deref(), Cli::command()),
         Command::Plant(args) => roles::role(loopbound_plant::run, args.into_role()),

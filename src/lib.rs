@@ -4,6 +4,7 @@
 //! never in the loop. It alone commands the plant and cleans up after the dead.
 
 pub mod bound;
+pub mod check;
 pub mod clean;
 pub mod cli;
 pub mod doctor;
@@ -18,4 +19,6 @@ pub mod report;
 pub mod roles;
 pub mod run;
 pub mod signals;
+pub mod study;
 pub mod supervise;
+pub mod swap;

@@ -7,9 +7,11 @@ use anyhow::Context as _;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use loopbound_monitor::Summary;
+use loopbound_monitor::verdict::expectations;
 use loopbound_shared::scenario::{ExpectSection, Scenario};
 use serde_json::Value;
 
+use crate::check;
 use crate::cli::ScenarioArgs;
 use crate::exit::{Exit, Failure};
 use crate::signals::Stop;
@@ -76,6 +78,7 @@ fn scenario(args: &RunArgs) -> anyhow::Result<Scenario> {
         let text = std::fs::read_to_string(path).map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
         scenario.expect = ExpectSection::from_toml(&text, &path.display().to_string())?;
     }
+    expectations::validate(&scenario.expect).map_err(|e| Failure::usage(format!("expect: {e}")))?;
     Ok(scenario)
 }
 
@@ -121,6 +124,7 @@ fn report(args: &RunArgs, out: Option<&Path>, outcome: Outcome) -> anyhow::Resul
         let text = serde_json::to_string_pretty(summary)?;
         supervise::write_whole(&folder.join("summary.json"), text.as_bytes()).context("summary.json")?;
         crate::report::write(&[folder], &folder.join("report.html")).context("report.html")?;
+        check::write_junit(&folder.join("junit.xml"), summary)?;
     }
     let exit = exit_of(stopped, &record, summary.as_ref());
     let mut stdout = std::io::stdout().lock();
@@ -129,6 +133,7 @@ fn report(args: &RunArgs, out: Option<&Path>, outcome: Outcome) -> anyhow::Resul
         Some(summary) if !args.quiet => {
             let colour = std::io::stdout().is_terminal();
             write!(stdout, "{}", loopbound_monitor::render(summary, SCREEN_COLUMNS, colour))?;
+            check::print_table(&mut stdout, &summary.verdict)?;
         }
         // Whoever waits for a document gets one, even if the monitor could not write its part.
         None if args.json => {
@@ -136,6 +141,9 @@ fn report(args: &RunArgs, out: Option<&Path>, outcome: Outcome) -> anyhow::Resul
             writeln!(stdout, "{}", serde_json::to_string_pretty(&nothing)?)?;
         }
         _ => {}
+    }
+    if let Some(summary) = &summary {
+        check::annotate(&summary.verdict);
     }
     if !args.quiet {
         for line in notes(&record, summary.is_some()) {
@@ -177,11 +185,7 @@ fn exit_of(stopped: Option<Exit>, record: &Record, summary: Option<&Summary>) ->
     if record.unrecovered().is_some() || summary.is_none() {
         return Exit::RoleDied;
     }
-    match summary.map(|s| s.verdict.status.as_str()) {
-        Some("violated" | "failed") => Exit::Failed,
-        Some("inconclusive" | "no data") => Exit::Inconclusive,
-        _ => Exit::Held,
-    }
+    summary.map_or(Exit::RoleDied, |summary| check::exit_of(&summary.verdict))
 }
 
 #[cfg(test)]

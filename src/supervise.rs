@@ -5,9 +5,13 @@
 //! on the thread that calls [`supervise`] and are gone when it returns, however it returns.
 
 mod child;
+mod control;
 mod ending;
+mod prolong;
 mod record;
 mod roster;
+mod succession;
+mod swapping;
 mod watchdog;
 
 use std::collections::VecDeque;
@@ -23,23 +27,30 @@ use loopbound_shared::event::{self, CommandKind, Phase, Refusal, ReplyKind};
 use loopbound_shared::group::Group;
 use loopbound_shared::ports::{CommandClient, Node, Subscriber};
 use loopbound_shared::realtime::wait_any_end;
-use loopbound_shared::sample::{Announce, Command, Reply, State, Torque};
+use loopbound_shared::sample::{Announce, Command, Reply, State, TickRecord, Torque};
 use loopbound_shared::scenario::{Mode, Restart, Role, Scenario};
+use loopbound_shared::topics::Topic as _;
 
 use crate::exit::{Exit, Failure};
-use crate::processes::{self, Process};
+use crate::processes;
 use crate::signals::Stop;
 use child::Child;
+use control::Control;
+pub use control::{Answer, FILE as CONTROL_FILE, SwapReport, SwapRequest, connect};
 use record::privileges;
 pub use record::{Death, ProcessRecord, Record};
 use roster::RosterFile;
 pub use roster::{Entry, FILE as ROSTER_FILE, Roster};
+use succession::{Due, Retirement};
+use swapping::Swapping;
 use watchdog::Watchdog;
 
 /// Time for every process to become ready.
 const READY_NS: u64 = 10_000_000_000;
 /// Interval between two looks at a running group.
 const LOOK_NS: u64 = 50_000_000;
+/// The same while a swap is under way.
+const SWAP_LOOK_NS: u64 = 5_000_000;
 /// A role that ends in order within this time before the plant ended with it.
 const TOGETHER_NS: u64 = 500_000_000;
 /// Time for the plant to answer a command, besides two of its periods.
@@ -85,13 +96,6 @@ enum End {
     NotStarted(Failure),
 }
 
-/// A process that is to be started again.
-struct Due {
-    process: Process,
-    restarts: u32,
-    at_ns: u64,
-}
-
 /// The group as its supervisor holds it. Fields are dropped in this order: children first, the group's lock last.
 struct Supervisor<'a> {
     children: Vec<Child>,
@@ -105,7 +109,16 @@ struct Supervisor<'a> {
     answered: Vec<(u32, u64)>,
     /// The tick for whose standing still the reference was held to be the cause.
     suspected_in: Option<u64>,
+    /// The first tick that the plant does not run any more.
+    stop_tick: u64,
     due: VecDeque<Due>,
+    retirements: Vec<Retirement>,
+    control: Control,
+    swap: Option<Swapping>,
+    /// For the account of a swap; looked at while one is under way.
+    records: Subscriber<TickRecord>,
+    /// The number of the next controller that is started.
+    next_id: u32,
     deaths: Vec<Death>,
     roster: RosterFile,
     /// The controller in charge, 0 before the start.
@@ -153,7 +166,13 @@ impl<'a> Supervisor<'a> {
             torques: lockstep.then(|| node.subscriber(1)).transpose()?,
             answered: Vec::new(),
             suspected_in: None,
+            stop_tick: scenario.loop_.ticks(),
             due: VecDeque::new(),
+            retirements: Vec::new(),
+            control: Control::open(&group).context("the group's socket")?,
+            swap: None,
+            records: node.subscriber(TickRecord::DEPTH)?,
+            next_id: cast::controllers(scenario).iter().map(|part| part.id).max().unwrap_or(0) + 1,
             deaths: Vec::new(),
             roster: RosterFile::new(&group),
             active: 0,
@@ -213,6 +232,10 @@ impl<'a> Supervisor<'a> {
             }
         }
         self.active = 1;
+        for child in &mut self.children {
+            child.member = child.process.role == Role::Controller;
+        }
+        self.set_priorities();
         self.watch()
     }
 
@@ -225,7 +248,7 @@ impl<'a> Supervisor<'a> {
         let period_ns = if self.lockstep() { 0 } else { self.scenario.period_ns() };
         let mut watchdog = Watchdog::new(clock::now_ns(), period_ns);
         loop {
-            self.wait_for_an_end(LOOK_NS);
+            self.wait_for_an_end(if self.swap.is_some() { SWAP_LOOK_NS } else { LOOK_NS });
             self.listen();
             if let Some(exit) = self.options.stop.requested() {
                 return End::Stopped(exit);
@@ -234,6 +257,9 @@ impl<'a> Supervisor<'a> {
                 return end;
             }
             self.start_due();
+            self.serve_swaps();
+            self.retire_due();
+            self.prolong_if_undecided();
             self.options.progress.set_position(self.tick());
             if watchdog.stalled(clock::now_ns(), self.tick()) {
                 self.kill_who_is_silent();
@@ -257,15 +283,19 @@ impl<'a> Supervisor<'a> {
                 continue;
             }
             let Some(child) = self.children.iter_mut().find(|c| c.pid == announce.pid) else { continue };
-            let again = child.announce.is_none() && child.restarts > 0;
-            child.announce = Some(announce);
-            let (role, id) = (child.process.role, child.process.id);
-            if again {
-                self.admit(role, id);
+            let first = child.announce.replace(announce).is_none();
+            if first && self.active != 0 {
+                let pid = child.pid;
+                self.admit(pid);
             }
         }
-        if let Some(state) = self.states.latest() {
+        if let Some(state) = self.states.latest()
+            && state.active != self.active
+            && self.active != 0
+            && state.active != 0
+        {
             self.active = state.active;
+            self.set_priorities();
         }
         if let Some(torques) = &self.torques {
             while let Some((writer, tick)) = torques.take_with(|t| (t.writer, t.tick)) {
@@ -276,20 +306,6 @@ impl<'a> Supervisor<'a> {
             }
         }
         self.roster.update(roster::roster(self.group.name(), &self.children, self.active));
-    }
-
-    /// A process that was started again is ready: its predecessor's death is recovered.
-    fn admit(&mut self, role: Role, id: u32) {
-        let admitted = role != Role::Controller
-            || self
-                .command(Command { kind: CommandKind::AddMember.code(), controller: id, ..Command::zeroed() })
-                .is_ok();
-        if admitted {
-            self.note(&format!("{role} {id} is back"));
-        }
-        for death in self.deaths.iter_mut().filter(|d| d.role == role.name() && d.id == id) {
-            death.recovered |= admitted;
-        }
     }
 
     /// Deals with everyone that has ended since the last look. Some: so has the group.
@@ -309,6 +325,7 @@ impl<'a> Supervisor<'a> {
             // Whoever ends in order has probably seen the last state, and the plant is about to end too.
             child.ended.is_some_and(|(status, at_ns)| !status.success() || now_ns >= at_ns + TOGETHER_NS)
         };
+        self.bury_retired();
         while let Some(index) = self.children.iter().position(|c| !c.settled && died(c)) {
             self.children[index].settled = true;
             if let Some(end) = self.settle_death(index) {
@@ -326,7 +343,9 @@ impl<'a> Supervisor<'a> {
             // In lockstep the plant waits for this very command.
             Role::Controller => {
                 let remove = Command { kind: CommandKind::RemoveMember.code(), controller: id, ..Command::zeroed() };
-                if let Err(why) = self.command(remove) {
+                if self.children[index].member
+                    && let Err(why) = self.command(remove)
+                {
                     self.note(&format!("{name}: {why}"));
                 }
             }
@@ -343,43 +362,9 @@ impl<'a> Supervisor<'a> {
         match process.policy {
             Restart::End => return Some(End::Policy(format!("{name}: {how}"))),
             Restart::Ignore => {}
-            Restart::Restart => self.plan_restart(process, restarts),
+            Restart::Restart => self.plan_restart(process, restarts, id),
         }
         None
-    }
-
-    /// Notes when to start it again, twice as late each time. In lockstep a controller is not: the tick in which it
-    /// would be back depends on the machine, and runs would differ.
-    fn plan_restart(&mut self, process: Process, restarts: u32) {
-        let section = &self.scenario.supervisor;
-        let given_up = restarts >= section.restarts_max;
-        if given_up || (self.lockstep() && process.role == Role::Controller) {
-            return;
-        }
-        let doubled = section.back_off.ns().saturating_mul(1 << restarts.min(30));
-        let at_ns = clock::now_ns().saturating_add(doubled.min(section.back_off_max.ns()));
-        self.due.push_back(Due { process, restarts: restarts + 1, at_ns });
-    }
-
-    fn start_due(&mut self) {
-        for _ in 0..self.due.len() {
-            let Some(due) = self.due.pop_front() else { return };
-            if due.at_ns > clock::now_ns() {
-                self.due.push_back(due);
-                continue;
-            }
-            let same = |c: &Child| c.process.role == due.process.role && c.process.id == due.process.id;
-            match Child::start(due.process.clone(), &self.group, due.restarts) {
-                Ok(child) => {
-                    self.children.retain(|c| !same(c));
-                    self.children.push(child);
-                }
-                Err(why) => {
-                    self.note(&format!("{why:#}"));
-                    self.plan_restart(due.process, due.restarts);
-                }
-            }
-        }
     }
 
     fn grant_all_credit(&self) {
@@ -428,12 +413,7 @@ impl<'a> Supervisor<'a> {
 
     /// Asks the plant for something; an error says why it was not done.
     fn command(&self, command: Command) -> Result<Reply, String> {
-        let plant_lives = self.children.iter().any(|c| c.process.role == Role::Plant && c.lives());
-        if !plant_lives || self.plant_ended() {
-            return Err("the plant has ended".to_owned());
-        }
-        let timeout_ns = ANSWER_NS + 2 * self.scenario.period_ns();
-        let reply = self.commands.ask(command, timeout_ns).map_err(|e| e.to_string())?;
+        let reply = self.ask_plant(command)?;
         match ReplyKind::from_code(reply.kind) {
             Some(ReplyKind::Done | ReplyKind::Pending) => Ok(reply),
             _ => {
@@ -442,6 +422,16 @@ impl<'a> Supervisor<'a> {
                 Err(format!("{kind}: {reason}"))
             }
         }
+    }
+
+    /// The plant's answer, whatever it is; an error if it gives none.
+    fn ask_plant(&self, command: Command) -> Result<Reply, String> {
+        let plant_lives = self.children.iter().any(|c| c.process.role == Role::Plant && c.lives());
+        if !plant_lives || self.plant_ended() {
+            return Err("the plant has ended".to_owned());
+        }
+        let timeout_ns = ANSWER_NS + 2 * self.scenario.period_ns();
+        self.commands.ask(command, timeout_ns).map_err(|e| e.to_string())
     }
 
     /// Says something while the run goes on, above the progress bar.

@@ -170,7 +170,14 @@ impl PlantEnd {
             core.setpoints.enter(&setpoint(tick), LINKS);
             let sampled_ns = clock::now_ns();
             let grace_deadline_ns = sampled_ns + SILENCE_NS;
-            let opening = Opening { tick, deadline_ns: sampled_ns, sampled_ns, grace_deadline_ns, skipped: 0 };
+            let opening = Opening {
+                tick,
+                deadline_ns: sampled_ns,
+                sampled_ns,
+                grace_deadline_ns,
+                skipped: 0,
+                wake_late_ns: u64::MAX,
+            };
             let mut state = core.open(opening);
             state.published_ns = clock::now_ns();
             core.stamp_published(state.published_ns, grace_deadline_ns);

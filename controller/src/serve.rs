@@ -98,7 +98,12 @@ pub fn serve_until(controller: impl Controller, args: &RoleArgs, stop: &'static 
     let ports = Ports::open(role::join(args)?)?;
     let scenario = ports.joined.scenario.clone();
     let mut core = ControllerCore::new(&scenario, args.id, controller);
-    let mut entered = realtime::enter(&role::realtime_request(&scenario, Role::Controller));
+    let mut wanted = role::realtime_request(&scenario, Role::Controller);
+    if ports.joined.block.pace().plant_tick.load(Ordering::Relaxed) > 0 {
+        // The group runs: starting up must not keep the one in charge from its core. The supervisor raises it later.
+        wanted.priority = wanted.priority.min(1);
+    }
+    let mut entered = realtime::enter(&wanted);
     let prefix = ports.joined.group.prefix();
     entered.populate_shared(&[prefix.as_str()]);
     let mut evidence = EvidenceReader::open();

@@ -1,5 +1,5 @@
-//! The files of a run, written by a thread of their own: `samples.mcap`, `samples.csv`, `events.jsonl`, `latency.hlog`, and at the end
-//! `summary.json`, `scenario.toml` and `latency/*.hgrm`.
+//! The files of a run, written by a thread of their own: `samples.mcap`, `samples.csv`, `events.jsonl`, `latency.hlog`,
+//! and at the end `summary.json`, `scenario.toml`, `blocks.jsonl` and `latency/*.{hgrm,svg}`.
 //!
 //! The queue to the thread is bounded. What finds it full is counted as dropped, so that a slow disc costs lines of a
 //! file and never a record; only in lockstep, where the plant can wait, the monitor waits too.
@@ -22,7 +22,9 @@ use crate::event::Event;
 use crate::hops::{Hop, Hops};
 use crate::recording::{About, McapWriter};
 use crate::summary::{Dropped, Summary};
+use crate::traces::Traces;
 use crate::tracker::Row;
+use crate::verdict::blocks::{self, Blocks};
 
 /// Entries that wait for the disc: more than a second of ticks at 10 kHz.
 const QUEUE: usize = 16_384;
@@ -52,11 +54,12 @@ pub struct Recorder {
 
 impl Recorder {
     /// Opens the files in `folder` (made if absent) and starts the writer. `lossless`: wait for the disc instead of
-    /// dropping.
+    /// dropping. `trace_s`: how much of the samples before and after a change of the controller in charge goes into a
+    /// file of its own.
     ///
     /// # Errors
     /// If a file can't be made.
-    pub fn start(folder: &Path, about: About, lossless: bool) -> io::Result<Self> {
+    pub fn start(folder: &Path, about: About, lossless: bool, trace_s: f64) -> io::Result<Self> {
         fs::create_dir_all(folder)?;
         let open = |name: &str| File::create(folder.join(name)).map(BufWriter::new);
         let (mut samples, events, latency) = (open("samples.csv")?, open("events.jsonl")?, open("latency.hlog")?);
@@ -64,7 +67,9 @@ impl Recorder {
         let (links, wall_start_ns) = (about.links, about.started.wall_ns);
         let recording = McapWriter::create(&folder.join("samples.mcap"), about)?;
         let (queue, entries) = sync_channel(QUEUE);
-        let write = move || write_entries(&entries, links, wall_start_ns, recording, samples, events, latency);
+        let traces = Traces::new(folder.join("changes"), csv_header(links), trace_s);
+        let tables = Tables { recording, samples, events, latency, traces };
+        let write = move || write_entries(&entries, links, wall_start_ns, tables);
         let writer = std::thread::Builder::new().name("recorder".to_owned()).spawn(write)?;
         let (folder, dropped) = (folder.to_owned(), Dropped::default());
         Ok(Self { folder, queue: Some(queue), writer: Some(writer), lossless, dropped })
@@ -123,13 +128,16 @@ impl Recorder {
     ///
     /// # Errors
     /// If a file can't be written.
-    pub fn write_end(&self, summary: &Summary, hops: &Hops, scenario_toml: &str) -> io::Result<()> {
+    pub fn write_end(&self, summary: &Summary, hops: &Hops, blocks: &Blocks, scenario_toml: &str) -> io::Result<()> {
         write_atomically(&self.folder.join("scenario.toml"), scenario_toml.as_bytes())?;
+        fs::write(self.folder.join(blocks::FILE), blocks.to_text())?;
         let folder = self.folder.join("latency");
         fs::create_dir_all(&folder)?;
         for hop in Hop::ALL {
             let text = percentiles(hops.of(hop).histogram());
             fs::write(folder.join(format!("{}.hgrm", hop.name())), text)?;
+            let svg = crate::plot::percentile_plot(hop.name(), hops.of(hop).histogram());
+            fs::write(folder.join(format!("{}.svg", hop.name())), svg)?;
         }
         write_summary(&self.folder.join("summary.json"), summary)
     }
@@ -145,22 +153,24 @@ pub fn write_summary(path: &Path, summary: &Summary) -> io::Result<()> {
     write_atomically(path, text.as_bytes())
 }
 
-fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
+pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut beside = path.as_os_str().to_owned();
     beside.push(format!(".{}.tmp", std::process::id()));
     fs::write(&beside, bytes)?;
     fs::rename(&beside, path)
 }
 
-fn write_entries(
-    entries: &Receiver<Entry>,
-    links: usize,
-    wall_start_ns: u64,
-    mut recording: McapWriter,
-    mut samples: impl Write,
-    mut events: impl Write,
-    mut latency: impl Write,
-) -> io::Result<()> {
+/// What is written while the run lasts.
+struct Tables {
+    recording: McapWriter,
+    samples: BufWriter<File>,
+    events: BufWriter<File>,
+    latency: BufWriter<File>,
+    traces: Traces,
+}
+
+fn write_entries(entries: &Receiver<Entry>, links: usize, wall_start_ns: u64, tables: Tables) -> io::Result<()> {
+    let Tables { mut recording, mut samples, mut events, mut latency, mut traces } = tables;
     let mut serializer = V2DeflateSerializer::new();
     let mut log = IntervalLogWriterBuilder::new()
         .add_comment("latencies in ns, one tag a hop; start-up left out")
@@ -177,6 +187,7 @@ fn write_entries(
                 line.clear();
                 csv_line(&mut line, row, links);
                 samples.write_all(line.as_bytes())?;
+                traces.line(row.tick, row.t_s, row.active, &line)?;
             }
             Entry::Announce(announce) => recording.announce(&announce)?,
             Entry::Event(event) => {
@@ -268,7 +279,7 @@ mod tests {
     /// A run of 3000 ticks with an interval every 1000, and an event each.
     fn record_into(folder: &Path) -> Summary {
         let mut tracker: Tracker<3> = crate::testing::tracker();
-        let mut recorder = Recorder::start(folder, about(), true).unwrap();
+        let mut recorder = Recorder::start(folder, about(), true, 0.1).unwrap();
         for tick in 0..3000 {
             let mut record = good(tick);
             record.q[2] = 0.125;
@@ -286,7 +297,7 @@ mod tests {
         tracker.finish();
         let mut summary = tracker.summarise();
         summary.dropped = recorder.finish().unwrap();
-        recorder.write_end(&summary, tracker.hops(), "[loop]\n").unwrap();
+        recorder.write_end(&summary, tracker.hops(), tracker.blocks(), "[loop]\n").unwrap();
         summary
     }
 
@@ -352,7 +363,7 @@ mod tests {
 
     #[test]
     fn a_folder_that_can_not_be_made_is_an_error_with_nothing_started() {
-        assert!(Recorder::start(Path::new("/proc/none"), about(), false).is_err());
+        assert!(Recorder::start(Path::new("/proc/none"), about(), false, 0.1).is_err());
     }
 
     fn decode_base64(text: &str) -> Vec<u8> {

@@ -29,11 +29,14 @@ pub enum Hop {
     DeadlineToTorque,
     /// Setpoint published → the plant sampled the state that was answered with it. It contains the reference's lead.
     SetpointAge,
+    /// The plant's sleep before t_k was to end → the kernel woke it: the noise floor, what the host alone does to a
+    /// periodic thread of this priority on this core.
+    Floor,
 }
 
 impl Hop {
     /// Every hop, in the order of reports.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Wakeup,
         Self::StateToController,
         Self::Compute,
@@ -41,6 +44,7 @@ impl Hop {
         Self::RoundTrip,
         Self::DeadlineToTorque,
         Self::SetpointAge,
+        Self::Floor,
     ];
 
     /// The key in `summary.json` and the tag in `latency.hlog`.
@@ -54,6 +58,7 @@ impl Hop {
             Self::RoundTrip => "round_trip",
             Self::DeadlineToTorque => "deadline_to_torque",
             Self::SetpointAge => "setpoint_age",
+            Self::Floor => "floor",
         }
     }
 
@@ -65,9 +70,12 @@ impl Hop {
         if self == Self::Wakeup {
             return Some((record.deadline_ns, record.sampled_ns));
         }
+        if self == Self::Floor {
+            return (record.wake_late_ns != u64::MAX).then_some((0, record.wake_late_ns));
+        }
         let receipt = receipt?;
         match self {
-            Self::Wakeup => None,
+            Self::Wakeup | Self::Floor => None,
             Self::StateToController => Some((record.published_ns, receipt.state_received_ns)),
             Self::Compute => Some((receipt.state_received_ns, receipt.torque_published_ns)),
             Self::ControllerToPlant => Some((receipt.torque_published_ns, receipt.arrived_ns)),

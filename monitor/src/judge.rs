@@ -169,8 +169,13 @@ impl<const N: usize> Judge<N> {
         let known = self.claims.iter().position(|(id, _)| *id == announce.id);
         match known {
             Some(at) => self.claims[at].1 = claim,
-            None if self.claims.len() < CLAIMS_MAX => self.claims.push((announce.id, claim)),
-            None => {}
+            None => {
+                // Numbers are never given twice, so the oldest is the likeliest to be gone.
+                if self.claims.len() == CLAIMS_MAX {
+                    self.claims.remove(0);
+                }
+                self.claims.push((announce.id, claim));
+            }
         }
     }
 

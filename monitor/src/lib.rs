@@ -10,7 +10,7 @@
 //! | [`event`] | what is noted besides figures |
 //! | [`summary`], [`verdict`], [`render`] | the keys of `summary.json`, what they come to, one screen of text |
 //! | [`chart`] | pictures, as SVG and PNG |
-//! | [`files`] | the files of a run, written by a thread of their own |
+//! | [`files`], `traces`, [`plot`] | the files of a run, written by a thread of their own; percentile plots |
 //! | [`recording`] | `samples.mcap`: what viewers open and `replay` reads |
 //! | [`report`] | `report.html`, the page of a run or of two |
 //! | [`tui`] | the live view on a terminal |
@@ -28,6 +28,7 @@ pub mod jitter;
 pub mod judge;
 pub mod late;
 mod members;
+pub mod plot;
 pub mod recording;
 pub mod render;
 pub mod report;
@@ -36,6 +37,7 @@ pub mod summary;
 pub mod swaps;
 #[cfg(test)]
 mod testing;
+mod traces;
 pub mod tracker;
 pub mod tui;
 pub mod verdict;

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use crate::cause::Cause;
 use crate::hops::Hop;
-use crate::summary::{Latency, Quantiles, Summary};
+use crate::summary::{Quantiles, Summary};
 
 /// The report, at most `width` (at least 60, at most 100) columns wide; `colour` only on a terminal.
 #[must_use]
@@ -67,8 +67,8 @@ const LABEL: usize = 18;
 fn headline(screen: &mut Screen, summary: &Summary) {
     let status = summary.verdict.status.to_uppercase();
     let paint = match summary.verdict.status.as_str() {
-        "held" | "pass" => "1;32",
-        "violated" | "fail" => "1;31",
+        "held" | "passed" => "1;32",
+        "violated" | "failed" => "1;31",
         _ => "1;33",
     };
     let rate = summary.rate_hz.map_or_else(|| "?".to_owned(), hertz);
@@ -92,7 +92,7 @@ fn latencies(screen: &mut Screen, summary: &Summary) {
     let heading = if summary.latency_is_virtual { "latency (virtual)" } else { "latency" };
     screen.painted(&format!("{heading:<22}{:>11}{:>11}{:>11}{:>11}{:>11}", "p50", "p99", "p99.9", "max", "n"), "1");
     for hop in Hop::ALL {
-        let quantiles = of(&summary.latency_ns, hop);
+        let Some(quantiles) = of(summary, hop) else { continue };
         let cells: String = [quantiles.p50, quantiles.p99, quantiles.p99_9, quantiles.max]
             .into_iter()
             .map(|value| format!("{:>11}", time(value)))
@@ -267,8 +267,9 @@ fn privileges(screen: &mut Screen, summary: &Summary) {
     }
 }
 
-fn of(latency: &Latency, hop: Hop) -> &Quantiles {
-    match hop {
+fn of(summary: &Summary, hop: Hop) -> Option<&Quantiles> {
+    let latency = &summary.latency_ns;
+    Some(match hop {
         Hop::Wakeup => &latency.wakeup,
         Hop::StateToController => &latency.state_to_controller,
         Hop::Compute => &latency.compute,
@@ -276,7 +277,8 @@ fn of(latency: &Latency, hop: Hop) -> &Quantiles {
         Hop::RoundTrip => &latency.round_trip,
         Hop::DeadlineToTorque => &latency.deadline_to_torque,
         Hop::SetpointAge => &latency.setpoint_age,
-    }
+        Hop::Floor => return summary.floor.as_ref(),
+    })
 }
 
 fn words(hop: Hop) -> &'static str {
@@ -288,6 +290,7 @@ fn words(hop: Hop) -> &'static str {
         Hop::RoundTrip => "round trip",
         Hop::DeadlineToTorque => "deadline → torque",
         Hop::SetpointAge => "setpoint age",
+        Hop::Floor => "floor: bare wake-up",
     }
 }
 

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 
 use loopbound_shared::chain::LINKS_MAX;
-use loopbound_shared::clock::{now_ns, sleep_until_ns_or_signal, wall_time, wall_time_ns};
+use loopbound_shared::clock::{now_ns, seconds, sleep_until_ns_or_signal, wall_time, wall_time_ns};
 use loopbound_shared::doorbell::Bell;
 use loopbound_shared::event::{Phase, Role};
 use loopbound_shared::group::runtime_folder;
@@ -27,7 +27,8 @@ use crate::recording::{About, Started};
 use crate::render::render;
 use crate::summary::Summary;
 use crate::tracker::{Config, Tracker};
-use crate::verdict::judge_summary;
+use crate::verdict::expectations::{judge, validate};
+use crate::verdict::{Interim, judge_summary};
 
 /// Ticks that the plant may be ahead of a managed monitor: three quarters of the subscriber's buffer.
 const CREDIT_TICKS: u64 = 1536;
@@ -120,6 +121,7 @@ pub fn run(args: &MonitorArgs, stop: &AtomicBool) -> Result<Outcome, RoleError> 
         parent: args.parent,
     })?;
     let links = joined.scenario.links();
+    validate(&joined.scenario.expect).map_err(|e| RoleError::Other(format!("expect: {e}")))?;
     let outcome = with_links!(links, watch::<N>(args, &joined, stop))?;
     report(args, &joined, &outcome)?;
     Ok(outcome)
@@ -147,6 +149,7 @@ struct Watch<'a, const N: usize> {
     recorder: Option<Recorder>,
     started_ns: u64,
     interval_from_ns: u64,
+    judged_blocks: usize,
     last_record_ns: u64,
     last_seen: bool,
 }
@@ -162,7 +165,8 @@ impl<'a, const N: usize> Watch<'a, N> {
             None => None,
             Some(folder) => {
                 let lossless = lockstep && args.managed;
-                let recorder = Recorder::start(folder, about(args, scenario)?, lossless);
+                let trace_s = seconds(scenario.monitor.trace.ns());
+                let recorder = Recorder::start(folder, about(args, scenario)?, lossless, trace_s);
                 Some(recorder.map_err(|e| RoleError::Other(format!("{}: {e}", folder.display())))?)
             }
         };
@@ -179,6 +183,7 @@ impl<'a, const N: usize> Watch<'a, N> {
             recorder,
             started_ns: now_ns,
             interval_from_ns: now_ns,
+            judged_blocks: 0,
             last_record_ns: now_ns,
             last_seen: false,
         })
@@ -273,6 +278,23 @@ impl<'a, const N: usize> Watch<'a, N> {
         if duration_ns >= INTERVAL_NS {
             self.close_interval(now_ns);
         }
+        self.judge_so_far();
+    }
+
+    /// After every block, for the supervisor, who prolongs a run while its verdict is open. It reads when it likes, so
+    /// neither waits for the other; a look that is missed costs a later one at most.
+    fn judge_so_far(&mut self) {
+        let blocks = self.tracker.blocks().closed().len();
+        let asked = self.args.managed && !self.lockstep && !self.joined.scenario.expect.conditions.is_empty();
+        if !asked || blocks == self.judged_blocks {
+            return;
+        }
+        self.judged_blocks = blocks;
+        let summary = self.tracker.summarise();
+        let verdict = judge(&self.joined.scenario.expect, &summary, self.tracker.blocks(), judge_summary(&summary));
+        let interim = Interim { tick: summary.last_tick.unwrap_or(0), status: verdict.status };
+        // A full disc shows at the end, when the summary can't be written either.
+        let _ = interim.write(&self.joined.group.file(Interim::FILE));
     }
 
     fn close_interval(&mut self, now_ns: u64) {
@@ -347,11 +369,13 @@ impl<'a, const N: usize> Watch<'a, N> {
             summary.dropped.events += lost.events;
             summary.dropped.intervals += lost.intervals;
         }
-        summary.verdict = judge_summary(&summary);
+        self.tracker.close_block();
+        let natural = judge_summary(&summary);
+        summary.verdict = judge(&scenario.expect, &summary, self.tracker.blocks(), natural);
         if let Some(recorder) = &self.recorder {
             let toml = scenario.to_toml()?;
             recorder
-                .write_end(&summary, self.tracker.hops(), &toml)
+                .write_end(&summary, self.tracker.hops(), self.tracker.blocks(), &toml)
                 .map_err(|e| RoleError::Other(format!("the files of the run: {e}")))?;
         }
         Ok(summary)

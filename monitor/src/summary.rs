@@ -72,7 +72,8 @@ pub struct Summary {
     pub setpoint_stale: u64,
     /// Ticks that the plant closed while this monitor watched, and whose record it did not get.
     pub monitor_gaps: u64,
-    /// What the host alone does to the loop: lateness of the plant's own wake-up, ns. None in lockstep.
+    /// What the host alone does to a periodic thread: how late the kernel woke the plant before its deadline, ns. None
+    /// in lockstep.
     pub floor: Option<Quantiles>,
     /// Latency of every hop, ns.
     pub latency_ns: Latency,
@@ -320,10 +321,45 @@ pub struct Dropped {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Verdict {
-    /// `held`, `violated`, `late`, `not certified`, `no data`; an expectation's verdict replaces it.
+    /// `held`, `violated`, `late`, `not certified`, `no data`; with expectations `passed`, `failed`, `inconclusive`.
     pub status: String,
     /// One sentence each.
     pub reasons: Vec<String>,
+    /// Each expectation with what was found.
+    pub expectations: Vec<Judgement>,
+}
+
+/// One expectation, judged.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Judgement {
+    /// The expectation as it was written, such as `round_trip.p99 <= 3 floor`.
+    pub expectation: String,
+    /// `pass`, `fail` or `inconclusive`.
+    pub outcome: Finding,
+    /// What was measured; `null` where there is no number.
+    pub measured: Option<f64>,
+    /// Confidence limits of a quantile; `null` where there are too few data for one, or where none is needed.
+    pub lower: Option<f64>,
+    /// The upper one.
+    pub upper: Option<f64>,
+    /// The budget in the unit of the key; of one relative to the floor its limits are in the sentence.
+    pub budget: Option<f64>,
+    /// One sentence with the numbers.
+    pub reason: String,
+}
+
+/// What became of an expectation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Finding {
+    /// It holds.
+    Pass,
+    /// It does not.
+    Fail,
+    /// The data do not say.
+    #[default]
+    Inconclusive,
 }
 
 /// The plant's counts by their names in the file.

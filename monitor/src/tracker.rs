@@ -7,16 +7,16 @@ use loopbound_shared::event::{Acceptance, Decision};
 use loopbound_shared::sample::{
     Announce, Counters, Happening, Links, Receipt, Segment, TickRecord, record_flag, to_vector,
 };
-
 use loopbound_shared::scenario::{Mode, Scenario};
 
 use crate::event::{Event, EventKind, EventLog};
-use crate::hops::Hops;
+use crate::hops::{Hop, Hops};
 use crate::jitter::JitterStatistics;
 use crate::judge::{Judge, Judged};
 use crate::late::Causes;
 use crate::summary::{Summary, Tracking, counters_by_name, finite};
 use crate::swaps::Swaps;
+use crate::verdict::blocks::Blocks;
 
 /// What a tracker must know of the scenario.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,7 +36,7 @@ pub struct Config {
 }
 
 impl Config {
-    /// What a scenario says.
+    /// What a scenario says of it.
     #[must_use]
     pub fn of(scenario: &Scenario) -> Self {
         Self {
@@ -123,6 +123,7 @@ pub struct Tracker<const N: usize> {
     judge: Option<Judge<N>>,
     hops: Hops,
     interval: Hops,
+    blocks: Blocks,
     jitter: JitterStatistics,
     causes: Causes,
     swaps: Swaps,
@@ -164,6 +165,7 @@ impl<const N: usize> Tracker<N> {
             judge,
             hops: Hops::default(),
             interval: Hops::default(),
+            blocks: Blocks::new(config.period_ns),
             jitter: JitterStatistics::default(),
             causes: Causes::default(),
             swaps: Swaps::default(),
@@ -186,6 +188,7 @@ impl<const N: usize> Tracker<N> {
         if settled {
             self.hops.record(record, receipt, self.config.period_ns);
             self.interval.record(record, receipt, self.config.period_ns);
+            self.blocks.record(record, receipt, self.config.period_ns);
             self.jitter.record(record, self.config.period_ns);
         } else {
             self.seen.start_up += 1;
@@ -205,6 +208,12 @@ impl<const N: usize> Tracker<N> {
         if let Some(judge) = &mut self.judge {
             judge.learn(announce);
         }
+    }
+
+    /// Changes of the controller in charge so far.
+    #[must_use]
+    pub fn swaps(&self) -> &Swaps {
+        &self.swaps
     }
 
     /// Whether the record is newer than the last one; counts what lies between.
@@ -290,6 +299,17 @@ impl<const N: usize> Tracker<N> {
         &self.hops
     }
 
+    /// Closes the last block, after the last record.
+    pub fn close_block(&mut self) {
+        self.blocks.close();
+    }
+
+    /// The latencies block by block, for verdicts.
+    #[must_use]
+    pub fn blocks(&self) -> &Blocks {
+        &self.blocks
+    }
+
     /// Records taken so far.
     #[must_use]
     pub fn records(&self) -> u64 {
@@ -331,7 +351,8 @@ impl<const N: usize> Tracker<N> {
             overruns: counters.overruns,
             setpoint_stale: counters.setpoint_stale,
             monitor_gaps: seen.gaps,
-            floor: (!config.lockstep && latency_ns.wakeup.n > 0).then_some(latency_ns.wakeup),
+            floor: (!config.lockstep && self.hops.of(Hop::Floor).quantiles().n > 0)
+                .then(|| self.hops.of(Hop::Floor).quantiles()),
             latency_ns,
             jitter_ns: self.jitter.summary(),
             tracking: self.errors.summary::<N>(),

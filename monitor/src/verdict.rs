@@ -1,6 +1,52 @@
-//! What a run is worth in one word when nobody has said what was expected of it.
+//! What a run is worth: in one word when nobody has said what was expected of it, else by its expectations.
+//!
+//! | module | responsible for |
+//! |---|---|
+//! | [`blocks`] | the latencies of a run in blocks of a quarter of a second, in memory and as a file |
+//! | [`limits`] | confidence limits of quantiles from blocks, valid under clustered stalls and at every look |
+//! | [`expectations`] | each expectation against its budget: pass, fail, or not decided yet |
+//! | [`comparison`] | ratios of the quantiles of two runs, with their confidence intervals |
+//! | [`reports`] | a verdict as a table, as `junit.xml` and as annotations |
+
+pub mod blocks;
+pub mod comparison;
+pub mod expectations;
+pub mod limits;
+pub mod reports;
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
 
 use crate::summary::{Summary, Verdict};
+
+/// The verdict so far, which the launcher's monitor leaves in the group's folder for the supervisor.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Interim {
+    /// The last tick that it rests on.
+    pub tick: u64,
+    /// As in [`Verdict::status`].
+    pub status: String,
+}
+
+impl Interim {
+    /// Its file in the group's folder.
+    pub const FILE: &str = "verdict.json";
+
+    /// Writes it, whole or not at all.
+    ///
+    /// # Errors
+    /// If it can't be written.
+    pub fn write(&self, path: &Path) -> std::io::Result<()> {
+        crate::files::write_atomically(path, &serde_json::to_vec(self)?)
+    }
+
+    /// Reads it; none if there is none yet.
+    #[must_use]
+    pub fn read(path: &Path) -> Option<Self> {
+        serde_json::from_slice(&std::fs::read(path).ok()?).ok()
+    }
+}
 
 /// The verdict, the gravest finding first.
 #[must_use]
@@ -35,5 +81,5 @@ pub fn judge_summary(summary: &Summary) -> Verdict {
         "not checked",
         "the law is certified, and no tick could be checked".to_owned(),
     );
-    Verdict { status: status.to_owned(), reasons }
+    Verdict { status: status.to_owned(), reasons, expectations: Vec::new() }
 }

@@ -38,6 +38,8 @@ pub struct Opening {
     pub grace_deadline_ns: u64,
     /// Ticks that were skipped before this one.
     pub skipped: u64,
+    /// How late the kernel woke the plant before t_k; the largest number if it did not sleep.
+    pub wake_late_ns: u64,
 }
 
 /// The plant without a clock. Allocates at construction only.
@@ -361,6 +363,7 @@ impl<const N: usize> PlantCore<N> {
             setpoint_offset_ns: offset_ns,
             setpoint_tick: found.map_or(0, |found| found.tick),
             skipped_before: at.skipped,
+            wake_late_ns: at.wake_late_ns,
             active,
             epoch,
             flags,

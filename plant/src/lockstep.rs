@@ -128,7 +128,14 @@ fn gather<const N: usize>(
 pub fn open<const N: usize>(core: &mut PlantCore<N>, tick: u64, scenario: &Scenario) -> State {
     let t_k_ns = tick * scenario.period_ns();
     let grace_deadline_ns = t_k_ns + scenario.loop_.grace_ns();
-    let mut state = core.open(Opening { tick, deadline_ns: t_k_ns, sampled_ns: t_k_ns, grace_deadline_ns, skipped: 0 });
+    let mut state = core.open(Opening {
+        tick,
+        deadline_ns: t_k_ns,
+        sampled_ns: t_k_ns,
+        grace_deadline_ns,
+        skipped: 0,
+        wake_late_ns: u64::MAX,
+    });
     state.published_ns = t_k_ns;
     core.stamp_published(t_k_ns, grace_deadline_ns);
     state

@@ -79,8 +79,8 @@ pub(crate) fn run<const N: usize>(core: &mut PlantCore<N>, ports: &Ports, stoppe
     let mut tick = 0;
     let mut duty = Duty { awake_since_ns: clock::now_ns() };
     while !stopped() && orders.stop_at.is_none_or(|stop| tick < stop) {
-        duty.sleep_until(times.deadline_ns(tick) - times.lead_ns);
-        tick = one_tick(core, ports, &times, tick, &mut evidence, &mut orders) + 1;
+        let wake_late_ns = duty.sleep_until(times.deadline_ns(tick) - times.lead_ns);
+        tick = one_tick(core, ports, &times, tick, wake_late_ns, &mut evidence, &mut orders) + 1;
     }
     clock::sleep_until_ns(times.deadline_ns(tick));
     core.finish(clock::now_ns());
@@ -98,16 +98,20 @@ impl Duty {
     const AWAKE_MAX_NS: u64 = 100_000_000;
     const REST_NS: u64 = 15_000_000;
 
-    fn sleep_until(&mut self, deadline_ns: u64) {
+    /// Sleeps, and returns how late the kernel ended it: the noise floor of the run. A sleep that was due already says
+    /// nothing about the host, and returns the largest number.
+    fn sleep_until(&mut self, deadline_ns: u64) -> u64 {
         let now_ns = clock::now_ns();
-        if deadline_ns > now_ns {
+        let on_time = deadline_ns > now_ns;
+        if on_time {
             clock::sleep_until_ns(deadline_ns);
         } else if now_ns - self.awake_since_ns > Self::AWAKE_MAX_NS {
             clock::sleep_until_ns(now_ns + Self::REST_NS);
         } else {
-            return;
+            return u64::MAX;
         }
         self.awake_since_ns = clock::now_ns();
+        if on_time { self.awake_since_ns - deadline_ns } else { u64::MAX }
     }
 }
 
@@ -151,6 +155,7 @@ fn one_tick<const N: usize>(
     ports: &Ports,
     times: &Times,
     tick: u64,
+    wake_late_ns: u64,
     evidence: &mut EvidenceReader,
     orders: &mut Orders,
 ) -> u64 {
@@ -172,6 +177,7 @@ fn one_tick<const N: usize>(
         sampled_ns,
         grace_deadline_ns: times.grace_deadline_ns(tick, sampled_ns),
         skipped,
+        wake_late_ns,
     });
     if let Some(took_ns) = joined_ns {
         core.note_join(took_ns);

@@ -95,12 +95,13 @@ fn generate<const N: usize>(args: &RoleArgs, stop: &'static AtomicBool) -> Resul
     let plant_tick = || block.pace().plant_tick.load(Ordering::Relaxed);
     // One that is started again goes on where the plant is.
     let mut next = plant_tick();
+    let mut output = Output { setpoints: &setpoints, lockstep, kept_back: None, clock_off_ns: 0 };
     let mut publish_up_to = |end: u64| {
         // After a long stall of this process, what is past helps nobody.
         next = next.max(plant_tick());
         let any = next < end;
         while next < end {
-            publish(&generator, &setpoints, next, lockstep);
+            output.publish(&generator, next);
             next += 1;
         }
         any
@@ -132,18 +133,47 @@ fn generate<const N: usize>(args: &RoleArgs, stop: &'static AtomicBool) -> Resul
     Ok(())
 }
 
-fn publish<const N: usize>(generator: &Generator<N>, port: &Publisher<Setpoint>, tick: u64, lockstep: bool) {
-    let faults = generator.faults_at(tick);
-    if faults.kill {
-        role::kill_self();
+/// Where setpoints go, and what befalls them on the way, on purpose.
+struct Output<'a> {
+    setpoints: &'a Publisher<Setpoint>,
+    lockstep: bool,
+    /// A setpoint that is published after its successor.
+    kept_back: Option<Setpoint>,
+    /// How far this process's stamps are off.
+    clock_off_ns: i64,
+}
+
+impl Output<'_> {
+    fn publish<const N: usize>(&mut self, generator: &Generator<N>, tick: u64) {
+        let faults = generator.faults_at(tick);
+        if faults.kill {
+            role::kill_self();
+        }
+        let pause_ns = faults.hang_ns.saturating_add(if self.lockstep { 0 } else { faults.delay_ns });
+        if pause_ns > 0 {
+            clock::sleep_until_ns(clock::now_ns().saturating_add(pause_ns));
+        }
+        self.clock_off_ns = self.clock_off_ns.saturating_add(faults.clock_step_ns);
+        // A dropped setpoint would stop lockstep, which waits for it: there it is given late in content instead.
+        if faults.drop && !self.lockstep {
+            return;
+        }
+        let now_ns = if self.lockstep { 0 } else { clock::now_ns() };
+        let published_ns = now_ns.saturating_add_signed(self.clock_off_ns);
+        let setpoint = Setpoint { published_ns, ..generator.setpoint(tick, &faults) };
+        if faults.reorder {
+            // Of two in a row the older goes now; it is late enough as it is.
+            if let Some(older) = self.kept_back.replace(setpoint) {
+                self.setpoints.send(older);
+            }
+            return;
+        }
+        self.setpoints.send(setpoint);
+        if faults.duplicate {
+            self.setpoints.send(setpoint);
+        }
+        if let Some(older) = self.kept_back.take() {
+            self.setpoints.send(older);
+        }
     }
-    if faults.hang_ns > 0 {
-        clock::sleep_until_ns(clock::now_ns().saturating_add(faults.hang_ns));
-    }
-    // A dropped setpoint would stop lockstep, which waits for it: there it is given late in content instead.
-    if faults.drop && !lockstep {
-        return;
-    }
-    let published_ns = if lockstep { 0 } else { clock::now_ns() };
-    port.send(Setpoint { published_ns, ..generator.setpoint(tick, &faults) });
 }

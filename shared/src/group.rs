@@ -108,6 +108,8 @@ fn lock(folder: &Path, create: bool, operation: FlockOperation) -> Result<Option
     }
 }
 
+/// Where the system keeps shared-memory objects.
+const SHARED_MEMORY: &str = "/dev/shm";
 /// Tries of [`Group::create`], a millisecond apart: the lock of a dead group is free again by then.
 const CREATE_TRIES: u32 = 20;
 /// Tries of the one who leaves, a millisecond apart.
@@ -185,24 +187,19 @@ impl Group {
         prefix_of(&self.folder)
     }
 
-    /// Where the transport keeps its own files.
+    /// Where the transport keeps its own files. Its sockets lie there, and the system allows their paths 107 bytes: so
+    /// this one is short, whatever the group's name and folder are. It is swept with the other objects of the prefix.
     #[must_use]
     pub fn transport_root(&self) -> PathBuf {
-        self.folder.join("transport")
+        Path::new(SHARED_MEMORY).join(format!("{}t", self.prefix()))
     }
 
     fn sweep_contents(&self) {
         sweep_shared_memory(&self.prefix());
         for entry in fs::read_dir(&self.folder).into_iter().flatten().flatten() {
-            if entry.file_name() == "alive" {
-                continue;
+            if entry.file_name() != "alive" {
+                remove(&entry);
             }
-            // What can't be removed now is found by the next sweep.
-            let _ = if entry.file_type().is_ok_and(|t| t.is_dir()) {
-                fs::remove_dir_all(entry.path())
-            } else {
-                fs::remove_file(entry.path())
-            };
         }
     }
 }
@@ -225,11 +222,20 @@ fn prefix_of(folder: &Path) -> String {
 }
 
 fn sweep_shared_memory(prefix: &str) {
-    for entry in fs::read_dir("/dev/shm").into_iter().flatten().flatten() {
+    for entry in fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten() {
         if entry.file_name().as_encoded_bytes().starts_with(prefix.as_bytes()) {
-            let _ = fs::remove_file(entry.path());
+            remove(&entry);
         }
     }
+}
+
+/// What can't be removed now is found by the next sweep.
+fn remove(entry: &fs::DirEntry) {
+    let _ = if entry.file_type().is_ok_and(|t| t.is_dir()) {
+        fs::remove_dir_all(entry.path())
+    } else {
+        fs::remove_file(entry.path())
+    };
 }
 
 /// All groups of this user that have a folder.
@@ -305,13 +311,16 @@ mod tests {
     fn what_a_dead_group_left_is_swept_by_the_next_of_that_name() {
         let name = unique("dead");
         let folder = runtime_folder().join(&name);
-        fs::create_dir_all(folder.join("transport/nodes")).unwrap();
+        let transport = PathBuf::from(format!("/dev/shm/{}t", prefix_of(&folder)));
+        fs::create_dir_all(transport.join("nodes")).unwrap();
+        fs::create_dir_all(&folder).unwrap();
         fs::write(folder.join("alive"), "").unwrap();
         let object = Path::new("/dev/shm").join(format!("{}left", prefix_of(&folder)));
         fs::write(&object, "x").unwrap();
         assert!(list().contains(&Found { name: name.clone(), alive: false }));
         let group = Group::create(&name).unwrap();
-        assert!(!object.exists() && !folder.join("transport").exists());
+        assert!(!object.exists() && !transport.exists());
+        assert_eq!(group.transport_root(), transport);
         drop(group);
         assert!(!folder.exists());
     }

@@ -288,6 +288,9 @@ wire! {
         pub skipped_before: u64,
         /// The longest gap between two looks at the clock while the plant was spinning.
         pub spin_gap_ns: u64,
+        /// How late the kernel woke the plant from its sleep before t_k: what the host alone does to a periodic thread
+        /// of this priority on this core. The largest number: it did not sleep (an overrun, or lockstep).
+        pub wake_late_ns: u64,
         /// [`crate::event::Decision`].
         pub decision: u32,
         /// The controller in charge at the end of the tick …

@@ -27,6 +27,12 @@ pub(super) struct Child {
     pub(super) ended: Option<(ExitStatus, u64)>,
     /// How often it was started before.
     pub(super) restarts: u32,
+    /// The controller whose place it takes after a death; a number is never given twice.
+    pub(super) replaces: Option<u32>,
+    /// Whether the plant was told of this controller.
+    pub(super) member: bool,
+    /// Its end was asked for: it is no death.
+    pub(super) retiring: bool,
     /// Whether its end has been dealt with.
     pub(super) settled: bool,
     child: std::process::Child,
@@ -48,7 +54,20 @@ impl Child {
         })?;
         let pid = child.id();
         let handle = ProcessHandle::open(pid).ok();
-        Ok(Self { process, pid, announce: None, ended: None, restarts, settled: false, child, handle, log })
+        Ok(Self {
+            process,
+            pid,
+            announce: None,
+            ended: None,
+            restarts,
+            replaces: None,
+            member: false,
+            retiring: false,
+            settled: false,
+            child,
+            handle,
+            log,
+        })
     }
 
     /// Looks whether it has ended, and reaps it if so.
@@ -103,6 +122,11 @@ impl Child {
         let lines: Vec<&str> = text.lines().filter(|line| !line.trim().is_empty()).collect();
         let from = lines.len().saturating_sub(QUOTED_LINES_MAX);
         lines[from..].iter().map(|line| line.strip_prefix("loopbound: ").unwrap_or(line).to_owned()).collect()
+    }
+
+    /// Its words are of no use any more.
+    pub(super) fn remove_log(&self) {
+        let _ = fs::remove_file(&self.log);
     }
 
     /// How it ended, in words.

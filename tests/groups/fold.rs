@@ -8,7 +8,7 @@ use loopbound_shared::realtime::Evidence;
 use loopbound_shared::sample::{Counters, Happening, Receipt, Segment, TickRecord};
 
 /// Adds a value to a hash, bit by bit.
-pub trait Fold {
+pub(crate) trait Fold {
     /// `hash`, continued over this value.
     fn fold(&self, hash: u64) -> u64;
 }
@@ -111,6 +111,7 @@ fold!(TickRecord {
     setpoint_tick,
     skipped_before,
     spin_gap_ns,
+    wake_late_ns,
     decision,
     active,
     epoch,
@@ -139,12 +140,12 @@ fold!(TickRecord {
 
 /// The hash of one record.
 #[must_use]
-pub fn fingerprint(record: &TickRecord) -> u64 {
+pub(crate) fn fingerprint(record: &TickRecord) -> u64 {
     record.fold(FNV_START)
 }
 
 /// The hash of a whole run.
 #[must_use]
-pub fn golden(fingerprints: &[u64]) -> u64 {
+pub(crate) fn golden(fingerprints: &[u64]) -> u64 {
     fingerprints.iter().fold(FNV_START, |hash, fingerprint| fingerprint.fold(hash))
 }

@@ -15,18 +15,18 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 /// The longest that any wait may last, s: far beyond what a loaded machine takes, and short of a hang.
-pub const PATIENCE_S: u64 = 30;
+pub(crate) const PATIENCE_S: u64 = 30;
 /// Who has no privileges at all.
-pub const NOBODY: u32 = 65534;
+const NOBODY: u32 = 65534;
 
 static TURN: Mutex<()> = Mutex::new(());
 
 /// One test's group: its name, its files, and the turn.
-pub struct Case {
+pub(crate) struct Case {
     /// Name of the group.
-    pub group: String,
+    pub(crate) group: String,
     /// A folder for the test's own files, readable by everyone.
-    pub work: TempDir,
+    pub(crate) work: TempDir,
     /// Where the executable is told to keep its groups.
     folder: PathBuf,
     user: Option<u32>,
@@ -35,7 +35,7 @@ pub struct Case {
 
 impl Case {
     /// Waits for the turn. `what` tells this test's group from the others'.
-    pub fn new(what: &str) -> Self {
+    pub(crate) fn new(what: &str) -> Self {
         let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
         let work = tempfile::tempdir().expect("a temporary folder");
         open_to_all(work.path());
@@ -44,14 +44,14 @@ impl Case {
     }
 
     /// The same, with a runtime folder that no other group is in.
-    pub fn apart(what: &str) -> Self {
+    pub(crate) fn apart(what: &str) -> Self {
         let mut case = Self::new(what);
         case.folder = PathBuf::from(format!("/dev/shm/loopbound-{}", case.group));
         case
     }
 
     /// The same, as a user without privileges; the executable is copied to where that user may read it.
-    pub fn as_nobody(what: &str) -> Self {
+    pub(crate) fn as_nobody(what: &str) -> Self {
         let mut case = Self::apart(what);
         if rustix::process::getuid().is_root() {
             case.user = Some(NOBODY);
@@ -62,14 +62,14 @@ impl Case {
     }
 
     /// Writes a file of the test's own.
-    pub fn write(&self, name: &str, text: &str) -> PathBuf {
+    pub(crate) fn write(&self, name: &str, text: &str) -> PathBuf {
         let path = self.work.path().join(name);
         fs::write(&path, text).expect("a file of the test");
         path
     }
 
     /// The executable with these arguments.
-    pub fn command(&self, arguments: &[&str]) -> Command {
+    pub(crate) fn command(&self, arguments: &[&str]) -> Command {
         let exe = match self.user {
             Some(_) => self.work.path().join("loopbound"),
             None => PathBuf::from(env!("CARGO_BIN_EXE_loopbound")),
@@ -83,7 +83,7 @@ impl Case {
     }
 
     /// Starts a scenario's group in this case's name, for one JSON document.
-    pub fn run(&self, scenario: &str, arguments: &[&str]) -> Running {
+    pub(crate) fn run(&self, scenario: &str, arguments: &[&str]) -> Running {
         let file = self.write("scenario.toml", scenario);
         let mut all = vec!["run", file.to_str().expect("a path in UTF-8"), "--group", &self.group, "--json"];
         all.extend(arguments);
@@ -91,12 +91,12 @@ impl Case {
     }
 
     /// Starts the executable with its output in files.
-    pub fn start(&self, arguments: &[&str]) -> Running {
+    pub(crate) fn start(&self, arguments: &[&str]) -> Running {
         self.start_command(self.command(arguments))
     }
 
     /// Starts a command with its output in files.
-    pub fn start_command(&self, mut command: Command) -> Running {
+    pub(crate) fn start_command(&self, mut command: Command) -> Running {
         let out = tempfile::tempfile_in(self.work.path()).expect("a file for the output");
         let err = tempfile::tempfile_in(self.work.path()).expect("a file for the errors");
         let copy = |file: &File| Stdio::from(file.try_clone().expect("a second descriptor"));
@@ -106,17 +106,17 @@ impl Case {
     }
 
     /// Runs the executable to its end.
-    pub fn output(&self, arguments: &[&str]) -> Ended {
+    pub(crate) fn output(&self, arguments: &[&str]) -> Ended {
         self.start(arguments).wait()
     }
 
     /// The folder of this case's group.
-    pub fn group_folder(&self) -> PathBuf {
+    pub(crate) fn group_folder(&self) -> PathBuf {
         self.folder.join(&self.group)
     }
 
     /// Joins the running group as a stranger would; it must be in the default runtime folder.
-    pub fn join(&self) -> (Node, Group) {
+    pub(crate) fn join(&self) -> (Node, Group) {
         assert_eq!(self.folder, runtime_folder(), "this process can only join groups of its own runtime folder");
         wait_until("the group is there", || self.group_folder().join("bell").exists());
         let group = Group::join(&self.group).expect("the group can be joined");
@@ -124,12 +124,12 @@ impl Case {
     }
 
     /// Whether any process lives that was started for this case's group.
-    pub fn is_mentioned(&self) -> bool {
+    pub(crate) fn is_mentioned(&self) -> bool {
         !processes_that_mention(&self.group).is_empty()
     }
 
     /// Asserts that nothing is left of `group` in memory and among the processes.
-    pub fn assert_nothing_left_of(&self, group: &str) {
+    pub(crate) fn assert_nothing_left_of(&self, group: &str) {
         let folder = self.folder.join(group);
         assert!(!folder.exists(), "left behind: {}: {:?}", folder.display(), names(&folder));
         let prefix = format!("lb{:016x}_", fnv1a(FNV_START, folder.as_os_str().as_encoded_bytes()));
@@ -141,7 +141,7 @@ impl Case {
     }
 
     /// Asserts that nothing is left of this case's group, now or very soon: children of a killed launcher need a moment.
-    pub fn assert_nothing_left(&self) {
+    pub(crate) fn assert_nothing_left(&self) {
         wait_until("all processes have ended", || processes_that_mention(&self.group).is_empty());
         self.assert_nothing_left_of(&self.group);
         if self.folder != runtime_folder() {
@@ -173,7 +173,7 @@ fn processes_that_mention(word: &str) -> Vec<String> {
 }
 
 /// Waits until something holds; panics when it takes longer than [`PATIENCE_S`].
-pub fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
+pub(crate) fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
     let until_ns = clock::now_ns() + PATIENCE_S * clock::NS_PER_S;
     while !holds() {
         assert!(clock::now_ns() < until_ns, "waited {PATIENCE_S} s in vain until {what}");
@@ -182,7 +182,7 @@ pub fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
 }
 
 /// The executable while it runs. Killed when the test gives it up.
-pub struct Running {
+pub(crate) struct Running {
     child: Child,
     out: File,
     err: File,
@@ -192,41 +192,36 @@ pub struct Running {
 
 /// How the executable ended, and what it said.
 #[derive(Debug)]
-pub struct Ended {
+pub(crate) struct Ended {
     /// Exit code; none after a signal.
-    pub code: Option<i32>,
+    pub(crate) code: Option<i32>,
     /// Its standard output.
-    pub out: String,
+    pub(crate) out: String,
     /// Its standard error.
-    pub err: String,
+    pub(crate) err: String,
 }
 
 impl Ended {
     /// Its standard output as one JSON document.
-    pub fn json(&self) -> Value {
+    pub(crate) fn json(&self) -> Value {
         serde_json::from_str(&self.out).unwrap_or_else(|e| panic!("no JSON document ({e}): {self:?}"))
     }
 
     /// Its standard output as one JSON document, if it ended with this code.
-    pub fn json_with(&self, code: i32) -> Value {
+    pub(crate) fn json_with(&self, code: i32) -> Value {
         assert_eq!(self.code, Some(code), "{self:?}");
         self.json()
     }
 }
 
 impl Running {
-    /// Its process id.
-    pub fn pid(&self) -> u32 {
-        self.child.id()
-    }
-
     /// Whether it still runs.
-    pub fn runs(&mut self) -> bool {
+    pub(crate) fn runs(&mut self) -> bool {
         self.status().is_none()
     }
 
     /// Whether it runs, who is in it, and what it has said, for the message of a test that fails.
-    pub fn said(&mut self) -> String {
+    pub(crate) fn said(&mut self) -> String {
         format!("running: {}, processes: {:?}, standard error: {}", self.runs(), self.roster(), text(&self.err))
     }
 
@@ -237,7 +232,7 @@ impl Running {
     }
 
     /// Waits for its end.
-    pub fn wait(mut self) -> Ended {
+    pub(crate) fn wait(mut self) -> Ended {
         let until_ns = clock::now_ns() + PATIENCE_S * clock::NS_PER_S;
         let status = loop {
             match self.status() {
@@ -250,19 +245,19 @@ impl Running {
     }
 
     /// Sends a signal to the executable.
-    pub fn signal(&self, signal: Signal) {
+    pub(crate) fn signal(&self, signal: Signal) {
         send(self.child.id(), signal);
     }
 
     /// The group's processes by the supervisor's own list; empty before there is one.
-    pub fn roster(&self) -> Vec<Value> {
+    pub(crate) fn roster(&self) -> Vec<Value> {
         let bytes = fs::read(&self.roster).unwrap_or_default();
         let roster: Value = serde_json::from_slice(&bytes).unwrap_or_default();
         roster["processes"].as_array().cloned().unwrap_or_default()
     }
 
     /// The process of `role` and `id`, once it is in one of `states`.
-    pub fn process(&mut self, role: &str, id: u64, states: &[&str]) -> u32 {
+    pub(crate) fn process(&mut self, role: &str, id: u64, states: &[&str]) -> u32 {
         let mut pid = None;
         wait_until(&format!("{role} {id} is one of {states:?}"), || {
             assert!(self.runs(), "the group has ended meanwhile: {}", text(&self.err));
@@ -277,7 +272,7 @@ impl Running {
     }
 
     /// Waits until the first controller is in charge: the clock runs.
-    pub fn wait_until_active(&mut self) {
+    pub(crate) fn wait_until_active(&mut self) {
         self.process("controller", 1, &["active"]);
     }
 }
@@ -293,7 +288,7 @@ impl Drop for Running {
 }
 
 /// Sends a signal to a process.
-pub fn send(pid: u32, signal: Signal) {
+pub(crate) fn send(pid: u32, signal: Signal) {
     let pid = i32::try_from(pid).ok().and_then(Pid::from_raw).expect("a process id");
     kill_process(pid, signal).expect("the process is there");
 }

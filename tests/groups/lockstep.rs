@@ -104,10 +104,11 @@ fn two_runs_of_a_group_are_bit_identical() {
 /// of a law, of the integrator or of a record's fields changes them: then they are taken from this test's own message.
 #[test]
 fn the_records_of_one_three_and_seven_links_are_those_of_every_other_machine() {
-    for (links, expected) in [(1, 0x515d_c186_14c1_e02f_u64), (3, 0x132b_65f0_f311_e0a8), (7, 0x6a7f_186e_3fe3_3437)] {
+    let found = [1, 3, 7].map(|links| {
         let alone = fingerprints_in_one_process(&lockstep(&format!("[plant]\nlinks = {links}\n")));
-        assert_eq!(format!("{:016x}", golden(&alone)), format!("{expected:016x}"), "{links} links");
-    }
+        format!("{:016x}", golden(&alone))
+    });
+    assert_eq!(found, ["8dc8bea60491e644", "2145eb05f60c1353", "420f606e4de7b524"]);
 }
 
 #[test]

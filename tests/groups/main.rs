@@ -7,8 +7,11 @@
 mod fold;
 mod harness;
 
+mod attached;
 mod deaths;
 mod lockstep;
 mod realtime;
 mod recording;
+mod strangers;
 mod usage;
+mod verdicts;

@@ -108,6 +108,17 @@ fn every_wake_up_mode_ends_well_without_any_privileges() {
 }
 
 #[test]
+fn a_group_may_have_the_longest_name_in_a_long_folder_in_every_mode() {
+    let mut case = Case::apart(&"long".repeat(20));
+    case.group = "x".repeat(32);
+    for mode in MODES {
+        let ended = case.run("[loop]\nduration = \"100ms\"\n", &["--wakeup", mode]).wait();
+        assert!(matches!(ended.code, Some(0 | 1 | 3)), "{mode}: {ended:?}");
+        case.assert_nothing_left();
+    }
+}
+
+#[test]
 fn rates_from_one_hertz_to_twenty_kilohertz_run() {
     let case = Case::new("rates");
     for (rate, duration, ticks) in [("1Hz", "2s", 2), ("100Hz", "500ms", 50), ("20kHz", "200ms", 4000)] {

@@ -114,7 +114,8 @@ fn round_step(raw: f64) -> f64 {
 fn log(low: f64, high: f64, fixed: bool) -> Laid {
     let usable = low.is_finite() && high.is_finite() && low > 0.0;
     let (low, high) = if usable { (libm::log10(low), libm::log10(high)) } else { (0.0, 1.0) };
-    let (mut from, mut to) = if fixed { (low, high) } else { ((low + 1e-9).floor(), (high - 1e-9).ceil()) };
+    let around = if high - low < 3.0 { near_decade } else { whole_decade };
+    let (mut from, mut to) = if fixed { (low, high) } else { (around(low, f64::floor), around(high, f64::ceil)) };
     if to - from < 1e-9 {
         (from, to) = (from - 0.5, to + 0.5);
     }
@@ -139,6 +140,23 @@ fn log(low: f64, high: f64, fixed: bool) -> Laid {
         decade += 1.0;
     }
     Laid { low, high, scale: Scale::Log, ticks }
+}
+
+/// The nearest power of ten in the direction of `round`; measures are decimal logarithms.
+fn whole_decade(measure: f64, round: fn(f64) -> f64) -> f64 {
+    // A value on a decade, but for rounding, is its own neighbour.
+    if (measure - measure.round()).abs() < 1e-9 { measure.round() } else { round(measure) }
+}
+
+/// The nearest of 1, 2, 5 times a power of ten in the direction of `round`: whole decades would leave half of a short
+/// axis empty.
+fn near_decade(measure: f64, round: fn(f64) -> f64) -> f64 {
+    let decade = measure.floor();
+    let marks = [0.0, libm::log10(2.0), libm::log10(5.0), 1.0].map(|part| decade + part);
+    let up = round(0.5) > 0.5;
+    let beyond = |mark: &&f64| if up { **mark >= measure - 1e-9 } else { **mark <= measure + 1e-9 };
+    let found = if up { marks.iter().find(beyond) } else { marks.iter().rev().find(beyond) };
+    found.copied().unwrap_or(measure)
 }
 
 /// A value with as many decimals as the step needs.

@@ -1,0 +1,72 @@
+//! Wears groups out: hundreds of swaps and kills on real processes, and counts what it cost.
+//!
+//! ```text
+//! cargo run --release --example soak -- --swaps 500 --kills 300 --groups 300
+//! ```
+//!
+//! It is its own `loopbound`: called with a subcommand it behaves as one, so that nothing else need be built. It ends
+//! with code 1 if anything was left behind, hung, or was not as it should be; ticks that the host cost are only counted.
+
+mod groups;
+mod kills;
+mod live;
+mod swaps;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+/// Hundreds of swaps and kills, and what they cost.
+#[derive(Debug, Parser)]
+struct Args {
+    /// Swaps between robust, robust-ff and ctc in one group at 1 kHz.
+    #[arg(long, default_value_t = 12)]
+    swaps: u32,
+    /// Kills of the active controller of one group with a standby.
+    #[arg(long, default_value_t = 6)]
+    kills: u32,
+    /// Groups in which random roles are killed, one kill a group.
+    #[arg(long, default_value_t = 6)]
+    groups: u32,
+    /// Threads that compute for nothing at the ordinary priority meanwhile.
+    #[arg(long, default_value_t = 2)]
+    load: u32,
+    /// The sequence of victims.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+const SUBCOMMANDS: [&str; 6] = ["run", "swap", "plant", "controller", "reference", "monitor"];
+
+fn main() -> ExitCode {
+    if std::env::args().nth(1).is_some_and(|first| SUBCOMMANDS.contains(&first.as_str())) {
+        return loopbound::cli::main();
+    }
+    match soak(&Args::parse()) {
+        Ok(0) => ExitCode::SUCCESS,
+        Ok(faults) => {
+            println!("{faults} faults");
+            ExitCode::FAILURE
+        }
+        Err(error) => {
+            eprintln!("soak: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Returns how many things were not as they should be.
+fn soak(args: &Args) -> anyhow::Result<u32> {
+    let _load: Vec<live::Load> = (0..args.load).map(|_| live::Load::start()).collect::<Result<_, _>>()?;
+    let mut faults = 0;
+    if args.swaps > 0 {
+        faults += swaps::run(args.swaps)?;
+    }
+    if args.kills > 0 {
+        faults += kills::run(args.kills)?;
+    }
+    if args.groups > 0 {
+        faults += groups::run(args.groups, args.seed)?;
+    }
+    Ok(faults)
+}

@@ -1,0 +1,172 @@
+//! Two runs side by side: the ratio of each quantile with a confidence interval, by a bootstrap over blocks.
+//!
+//! Whole blocks are drawn with replacement, so clusters of late ticks stay together, from each run for itself. The
+//! interval is the percentile interval of the ratios. The generator is this module's own and starts from a fixed seed:
+//! the same two files give the same numbers on every machine.
+
+use serde::{Deserialize, Serialize};
+
+use super::blocks::{Blocks, Counts, LAST_BUCKET, most_of};
+use crate::hops::Hop;
+
+/// Draws.
+const RESAMPLES: usize = 1000;
+/// Fewer blocks than this tell nothing about their spread.
+const BLOCKS_MIN: usize = 8;
+const SEED: u64 = 0x6c6f_6f70_626f_756e;
+/// Quantiles that are compared, by the names of their keys.
+pub const QUANTILES: [(&str, f64); 4] = [("p50", 0.5), ("p90", 0.9), ("p99", 0.99), ("p99_9", 0.999)];
+
+/// One quantile of one hop in both runs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Ratio {
+    /// The hop's key.
+    pub hop: String,
+    /// The quantile's key.
+    pub quantile: String,
+    /// In the first run, ns.
+    pub a_ns: f64,
+    /// In the second, ns.
+    pub b_ns: f64,
+    /// b / a.
+    pub ratio: f64,
+    /// Its lower limit at 95 %; none with too few blocks.
+    pub lower: Option<f64>,
+    /// Its upper limit.
+    pub upper: Option<f64>,
+}
+
+/// SplitMix64 (Steele, Lea, Flood 2014).
+struct Random(u64);
+
+impl Random {
+    fn below(&mut self, n: usize) -> usize {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        usize::try_from((z ^ (z >> 31)) % n as u64).unwrap_or(0)
+    }
+}
+
+/// The quantiles of some blocks together, each as the middle of its bucket's edges would be too coarse for ratios near
+/// 1, so within the bucket the ranks are taken to be evenly spread.
+fn quantiles_of(blocks: &[&Counts], totals: &mut [u64]) -> [f64; QUANTILES.len()] {
+    totals.fill(0);
+    let mut all = 0;
+    for (bucket, count) in blocks.iter().flat_map(|counts| counts.iter()) {
+        totals[usize::from(*bucket)] += u64::from(*count);
+        all += u64::from(*count);
+    }
+    QUANTILES.map(|(_, quantile)| {
+        let rank = quantile * all as f64;
+        let mut before = 0.0;
+        for (bucket, count) in totals.iter().enumerate().filter(|(_, count)| **count > 0) {
+            let count = *count as f64;
+            if before + count >= rank {
+                let bucket = u16::try_from(bucket).unwrap_or(LAST_BUCKET);
+                let (least, most) = (super::blocks::least_of(bucket) as f64, most_of(bucket) as f64 + 1.0);
+                return least + (most - least) * ((rank - before) / count).clamp(0.0, 1.0);
+            }
+            before += count;
+        }
+        f64::NAN
+    })
+}
+
+/// The ratios of all quantiles of all hops that both runs have.
+#[must_use]
+pub fn compare(a: &Blocks, b: &Blocks) -> Vec<Ratio> {
+    Hop::ALL.into_iter().flat_map(|hop| compare_hop(hop, a, b)).collect()
+}
+
+fn compare_hop(hop: Hop, a: &Blocks, b: &Blocks) -> Vec<Ratio> {
+    let (a, b): (Vec<&Counts>, Vec<&Counts>) = (a.of(hop).collect(), b.of(hop).collect());
+    if a.is_empty() || b.is_empty() {
+        return Vec::new();
+    }
+    let mut totals = vec![0; usize::from(LAST_BUCKET) + 1];
+    let (of_a, of_b) = (quantiles_of(&a, &mut totals), quantiles_of(&b, &mut totals));
+    let mut drawn: [Vec<f64>; QUANTILES.len()] = Default::default();
+    if a.len() >= BLOCKS_MIN && b.len() >= BLOCKS_MIN {
+        let mut random = Random(SEED);
+        for _ in 0..RESAMPLES {
+            let mut draw = |from: &[&Counts]| {
+                let chosen: Vec<&Counts> = (0..from.len()).map(|_| from[random.below(from.len())]).collect();
+                quantiles_of(&chosen, &mut totals)
+            };
+            let (of_a, of_b) = (draw(&a), draw(&b));
+            for (index, ratios) in drawn.iter_mut().enumerate() {
+                ratios.push(of_b[index] / of_a[index]);
+            }
+        }
+    }
+    let one = |(index, (name, _)): (usize, &(&str, f64))| {
+        let ratios = &mut drawn[index];
+        ratios.sort_by(f64::total_cmp);
+        let at = |share: usize| ratios.get(ratios.len() * share / 1000).copied();
+        Ratio {
+            hop: hop.name().to_owned(),
+            quantile: (*name).to_owned(),
+            a_ns: of_a[index],
+            b_ns: of_b[index],
+            ratio: of_b[index] / of_a[index],
+            lower: at(25),
+            upper: at(975),
+        }
+    };
+    QUANTILES.iter().enumerate().map(one).collect()
+}
+
+/// A table for people.
+#[must_use]
+pub fn table(ratios: &[Ratio]) -> String {
+    use super::expectations::time;
+    use std::fmt::Write as _;
+    let mut text = format!("{:<22}{:<7}{:>12}{:>12}{:>9}  95 % of the ratio\n", "hop", "", "A", "B", "B / A");
+    for Ratio { hop, quantile, a_ns, b_ns, ratio, lower, upper } in ratios {
+        let interval = match (lower, upper) {
+            (Some(lower), Some(upper)) => format!("{lower:.3} to {upper:.3}"),
+            _ => format!("needs {BLOCKS_MIN} blocks of 250 ms in each"),
+        };
+        let (a, b) = (time(Some(*a_ns)), time(Some(*b_ns)));
+        let _ = writeln!(text, "{hop:<22}{quantile:<7}{a:>12}{b:>12}{ratio:>9.3}  {interval}");
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::blocks::{Block, bucket, counts_of};
+    use super::*;
+
+    fn run(seed: u64, blocks: u64, base_ns: usize) -> Blocks {
+        let mut random = Random(seed);
+        let mut run = Blocks::new(1_000_000);
+        for index in 0..blocks {
+            let mut values: Vec<u16> = (0..250).map(|_| bucket((base_ns + random.below(base_ns / 5)) as u64)).collect();
+            let mut hops = vec![Vec::new(); Hop::ALL.len()];
+            hops[Hop::RoundTrip as usize] = counts_of(&mut values);
+            run.push(Block { index, hops });
+        }
+        run
+    }
+
+    #[test]
+    fn runs_alike_have_ratios_around_one_and_a_slower_one_is_told_apart() {
+        let ratios = compare(&run(1, 40, 10_000), &run(2, 40, 10_000));
+        assert_eq!(ratios.len(), QUANTILES.len());
+        for ratio in &ratios {
+            let (lower, upper) = (ratio.lower.unwrap(), ratio.upper.unwrap());
+            assert!(lower <= 1.003 && upper >= 0.997 && upper - lower < 0.05, "{ratio:?}");
+        }
+        let ratios = compare(&run(1, 40, 10_000), &run(2, 40, 11_000));
+        assert!(ratios.iter().all(|ratio| ratio.lower.unwrap() > 1.05 && ratio.upper.unwrap() < 1.15), "{ratios:?}");
+    }
+
+    #[test]
+    fn the_same_files_give_the_same_numbers_and_few_blocks_give_no_interval() {
+        let (a, b) = (run(1, 12, 10_000), run(2, 12, 10_000));
+        assert_eq!(compare(&a, &b), compare(&a, &b));
+        assert!(compare(&a, &run(2, 3, 10_000)).iter().all(|ratio| ratio.lower.is_none() && ratio.ratio > 0.9));
+    }
+}

@@ -1,0 +1,168 @@
+//! What period and latency leave of a certificate: [11], [12], [13], and the smallest ‖W‖ for a latency.
+
+use std::fmt::Write as _;
+
+use loopbound_shared::bound::certificate::{Certificate, StartError};
+use loopbound_shared::bound::stability::radius::{delay_margin_s, worst_radius};
+use loopbound_shared::bound::stability::{
+    ProvenAge, SamplingBudget, hold_limit_s, hold_limit_ticks, proven_age, sampling_budget, smallest_w,
+};
+use loopbound_shared::law::LawKind;
+use loopbound_shared::scenario::{Scenario, ScenarioError};
+use loopbound_shared::system;
+use serde_json::{Value, json};
+
+/// Configurations, beside the aligned ones, over which the spectral radius is taken.
+const CONFIGURATIONS: u32 = 16;
+
+/// The latency side of a scenario.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sampling {
+    /// h, s.
+    pub period_s: f64,
+    /// From a sample to the action of its torque, s.
+    pub latency_s: f64,
+    /// [11]; none for `ctc`.
+    pub budget: Option<SamplingBudget>,
+    /// Largest spectral radius of the sampled loop over configurations; below 1 it is stable.
+    pub radius: f64,
+    /// What may be added to the latency by the spectral radius, s.
+    pub radius_margin_s: f64,
+    /// [12].
+    pub proven: Option<ProvenAge>,
+    /// V and |τ| (N·m) for which the hold limit is given: where V settles, and the most that gravity asks.
+    pub held: (f64, f64),
+    /// [13], s.
+    pub hold_s: f64,
+    /// [13], whole ticks.
+    pub hold_ticks: u32,
+    /// The certificate with the smallest ‖W‖ that all of [11] allows at this latency.
+    pub smallest_w: Option<Certificate>,
+}
+
+/// Computes the latency side of `scenario` for its certificate.
+///
+/// # Errors
+/// If the scenario describes no system.
+pub fn sampling<const N: usize>(
+    scenario: &Scenario,
+    certificate: &Certificate,
+    latency_s: f64,
+) -> Result<Sampling, ScenarioError> {
+    let law_kind = scenario.controller.law;
+    let period_s = scenario.period_ns() as f64 * 1e-9;
+    let law = system::law::<N>(scenario, law_kind)?;
+    let assumptions = system::assumptions::<N>(scenario)?;
+    let start = StartError::of(&assumptions.nominal, &system::start::<N>(scenario)?);
+    let plant = scenario.build_truth::<N>()?.chain;
+    let envelope = assumptions.envelope();
+    let held = (certificate.v_ultimate(), (1.0 + envelope.mu) * envelope.b_hat);
+    Ok(Sampling {
+        period_s,
+        latency_s,
+        budget: sampling_budget(certificate, period_s, latency_s),
+        radius: worst_radius(&law, &plant, period_s, latency_s, CONFIGURATIONS),
+        radius_margin_s: delay_margin_s(&law, &plant, period_s, latency_s),
+        proven: proven_age(certificate),
+        held,
+        hold_s: hold_limit_s(certificate, held.0, held.1),
+        hold_ticks: hold_limit_ticks(certificate, held.0, held.1, period_s),
+        smallest_w: smallest_w(law_kind, &envelope, Some(&start), period_s, latency_s, 1.0),
+    })
+}
+
+impl Sampling {
+    /// For people.
+    #[must_use]
+    pub fn render(&self, law: LawKind) -> String {
+        let mut text =
+            format!("sampled every {:.4} ms, torques {:.4} ms late\n", self.period_s * 1e3, self.latency_s * 1e3);
+        let state = |stable: bool| if stable { "stable" } else { "UNSTABLE" };
+        match &self.budget {
+            Some(budget) => {
+                let _ = writeln!(
+                    text,
+                    "  [11] {}: {:.1} % of the room used, {:.4} ms of delay left, period up to {:.4} ms ({:.0} Hz)",
+                    state(budget.used < 1.0),
+                    budget.used * 100.0,
+                    budget.delay_margin_s * 1e3,
+                    budget.period_max_s * 1e3,
+                    1.0 / budget.period_max_s
+                );
+            }
+            None => {
+                text.push_str("  [11] says nothing of this law: it has no mode that is much faster than the chain\n")
+            }
+        }
+        let _ = writeln!(
+            text,
+            "  spectral radius {:.5}: {}, {:.4} ms of delay left",
+            self.radius,
+            state(self.radius < 1.0),
+            self.radius_margin_s * 1e3
+        );
+        match &self.proven {
+            Some(proven) => {
+                let age_s = self.period_s + self.latency_s;
+                let _ = writeln!(
+                    text,
+                    "  [12] torques up to {:.4} ms old are proven beforehand; here they get {:.4} ms old: {}",
+                    proven.age_s * 1e3,
+                    age_s * 1e3,
+                    if age_s <= proven.age_s { "proven" } else { "left to the live check" }
+                );
+            }
+            None => text.push_str("  [12] proves no age here\n"),
+        }
+        let _ = writeln!(
+            text,
+            "  [13] a torque of {:.1} N·m may be held for {:.2} ms ({} ticks) from V = {:.4}",
+            self.held.1,
+            self.hold_s * 1e3,
+            self.hold_ticks,
+            self.held.0
+        );
+        match &self.smallest_w {
+            Some(best) => {
+                let _ = writeln!(
+                    text,
+                    "  smallest ‖W‖ at this latency: {:.4}, with K_t = {:.4}, beta = {:.4}, K2 = {:.4}, K3 = {:.5}, C1 = \
+                     {:.4}, c = {:.4}",
+                    best.w_norm, best.k_t, best.beta, best.k2, best.k3, best.c1, best.level
+                );
+            }
+            None if matches!(law, LawKind::Robust | LawKind::RobustFf) => {
+                text.push_str("  no gain of this law is certified at this period and latency\n");
+            }
+            None => {}
+        }
+        text
+    }
+
+    /// For programs; times in s.
+    #[must_use]
+    pub fn to_json(&self) -> Value {
+        let budget = self.budget.map(|b| {
+            json!({
+                "used": b.used, "delay_ratio": b.delay_ratio, "hold_ratio": b.hold_ratio,
+                "delay_margin_s": b.delay_margin_s, "period_max_s": b.period_max_s,
+            })
+        });
+        let proven = self.proven.map(|p| json!({"age_s": p.age_s, "gain_share": p.gain_share, "epsilon": p.epsilon}));
+        let smallest = self.smallest_w.map(|w| {
+            json!({
+                "w_norm": w.w_norm, "k_t": w.k_t, "beta": w.beta, "k2": w.k2, "k3": w.k3, "c1": w.c1, "level": w.level,
+            })
+        });
+        json!({
+            "period_s": self.period_s,
+            "latency_s": self.latency_s,
+            "budget": budget,
+            "spectral_radius": self.radius,
+            "spectral_radius_margin_s": self.radius_margin_s,
+            "proven_age": proven,
+            "hold": {"v": self.held.0, "torque_nm": self.held.1, "limit_s": self.hold_s, "ticks": self.hold_ticks},
+            "smallest_w": smallest,
+        })
+    }
+}

@@ -1,0 +1,174 @@
+//! `loopbound study`: many lockstep runs at once, and what they say, as tables, pictures and sentences.
+//!
+//! Responsible for the command line, for the folder that takes the results and for the use of all cores. What is run and
+//! what is concluded belongs to the studies: [`paper`] and [`sweep`].
+
+pub mod boundary;
+pub mod cases;
+pub mod figures;
+pub mod measure;
+pub mod paper;
+pub mod sweep;
+pub mod table;
+pub mod verdicts;
+
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use anyhow::Context as _;
+use clap::{Args, Subcommand};
+use loopbound_monitor::chart::{Figure, Theme, to_png, to_svg};
+use loopbound_shared::chain::LINKS_MAX;
+use loopbound_shared::law::LawKind;
+
+use crate::exit::{Exit, Failure};
+
+/// Pixels of a PNG for each px of its SVG: sharp on paper at the width of a page.
+const PNG_SCALE: f32 = 2.0;
+
+/// `loopbound study`.
+#[derive(Debug, Args)]
+pub struct StudyArgs {
+    /// Which study.
+    #[command(subcommand)]
+    pub study: Study,
+}
+
+/// The studies.
+#[derive(Debug, Subcommand)]
+pub enum Study {
+    /// The paper's figures and its claims: every law in every case.
+    Paper(PaperArgs),
+    /// How late a torque may be: the measured stability boundary against the predicted one.
+    Delay(SweepArgs),
+    /// How slow the loop may be: the measured stability boundary against the predicted one.
+    Rate(SweepArgs),
+}
+
+/// `loopbound study paper`.
+#[derive(Debug, Args)]
+pub struct PaperArgs {
+    /// Folder for report.md, table.csv and the pictures.
+    #[arg(long, value_name = "DIR", default_value = "study-paper")]
+    pub out: PathBuf,
+    /// Shorter runs, fewer points.
+    #[arg(long)]
+    pub quick: bool,
+    /// Numbers of links, such as 1,2,3; other than three get a folder each.
+    #[arg(long, value_delimiter = ',', default_value = "3", value_name = "N,…")]
+    pub links: Vec<usize>,
+}
+
+/// `loopbound study delay` and `loopbound study rate`.
+#[derive(Debug, Args)]
+pub struct SweepArgs {
+    /// Folder for report.md, table.csv and the picture.
+    #[arg(long, value_name = "DIR", default_value = "study-boundary")]
+    pub out: PathBuf,
+    /// Fewer gains.
+    #[arg(long)]
+    pub quick: bool,
+    /// Numbers of links, such as 1,2,3.
+    #[arg(long, value_delimiter = ',', default_value = "3", value_name = "N,…")]
+    pub links: Vec<usize>,
+    /// robust, robust-ff or pd+g.
+    #[arg(long, default_value = "robust", value_name = "LAW")]
+    pub law: LawKind,
+}
+
+/// Runs a study.
+///
+/// # Errors
+/// If an argument is out of its range, or the folder can't be written.
+pub fn run(args: &StudyArgs) -> anyhow::Result<Exit> {
+    match &args.study {
+        Study::Paper(args) => {
+            check_links(&args.links)?;
+            paper::run(args)
+        }
+        Study::Delay(args) => {
+            check_links(&args.links)?;
+            sweep::run(args, sweep::Axis::Delay)
+        }
+        Study::Rate(args) => {
+            check_links(&args.links)?;
+            sweep::run(args, sweep::Axis::Period)
+        }
+    }
+}
+
+fn check_links(links: &[usize]) -> anyhow::Result<()> {
+    match links.iter().find(|n| !(1..=LINKS_MAX).contains(*n)) {
+        Some(n) => Err(Failure::usage(format!("--links: found {n}, allowed: 1 to {LINKS_MAX}")).into()),
+        None => Ok(()),
+    }
+}
+
+/// A folder that takes the results of a study.
+#[derive(Clone, Debug)]
+pub struct Folder(PathBuf);
+
+impl Folder {
+    /// The folder, made if need be.
+    ///
+    /// # Errors
+    /// If it can't be made.
+    pub fn open(path: &Path) -> anyhow::Result<Self> {
+        std::fs::create_dir_all(path).with_context(|| path.display().to_string())?;
+        Ok(Self(path.to_owned()))
+    }
+
+    /// Writes a file.
+    ///
+    /// # Errors
+    /// If it can't be written.
+    pub fn write(&self, name: &str, content: impl AsRef<[u8]>) -> anyhow::Result<()> {
+        let path = self.0.join(name);
+        std::fs::write(&path, content).with_context(|| path.display().to_string())
+    }
+
+    /// Writes a picture as SVG, which follows the reader's light or dark theme, and as PNG.
+    ///
+    /// # Errors
+    /// If it can't be written.
+    pub fn picture(&self, name: &str, figure: &Figure) -> anyhow::Result<()> {
+        self.write(&format!("{name}.svg"), to_svg(figure, Theme::Auto))?;
+        self.write(&format!("{name}.png"), to_png(figure, PNG_SCALE).context(name.to_owned())?)
+    }
+
+    /// Where it is.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.0
+    }
+}
+
+/// Applies `work` to every item on all cores; results in the order of the items, whoever computed them.
+pub fn on_all_cores<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync) -> Vec<R> {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from).min(items.len().max(1));
+    let next = AtomicUsize::new(0);
+    let done = Mutex::new(Vec::with_capacity(items.len()));
+    std::thread::scope(|scope| {
+        for _ in 0..threads {
+            scope.spawn(|| {
+                while let Some((at, item)) = take(&next, items) {
+                    let result = work(item);
+                    // Nobody panics with the lock held: pushing is all that is done under it.
+                    done.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push((at, result));
+                }
+            });
+        }
+    });
+    let mut results = done.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    results.sort_by_key(|(at, _)| *at);
+    results.into_iter().map(|(_, result)| result).collect()
+}
+
+fn take<'a, T>(next: &AtomicUsize, items: &'a [T]) -> Option<(usize, &'a T)> {
+    let at = next.fetch_add(1, Ordering::Relaxed);
+    items.get(at).map(|item| (at, item))
+}
+
+#[cfg(test)]
+mod tests;

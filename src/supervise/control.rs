@@ -1,0 +1,187 @@
+//! The socket in the group's folder by which `loopbound swap` talks to the supervisor: one line of JSON each way.
+//!
+//! The supervisor looks at it between its other looks, and never waits for a client longer than a moment.
+
+use std::fs::File;
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+use std::os::fd::AsRawFd as _;
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use loopbound_shared::group::Group;
+use loopbound_shared::law::LawKind;
+use serde::{Deserialize, Serialize};
+
+/// Name of the socket.
+pub const FILE: &str = "control";
+/// A client that has connected writes its line at once.
+const LINE_WITHIN: Duration = Duration::from_millis(200);
+/// No request is longer.
+const LINE_MAX: u64 = 64 * 1024;
+
+/// What `loopbound swap` asks for: exactly one of `law`, `exe`, `to`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SwapRequest {
+    /// A new process with this law.
+    pub law: Option<LawKind>,
+    /// A new process of this executable.
+    pub exe: Option<PathBuf>,
+    /// The standby with this number.
+    pub to: Option<u32>,
+    /// The tick to switch at; as soon as the gate passes if none is named.
+    pub at_tick: Option<u64>,
+    /// The cross-fade; that of `[swap_gate]` if none is named.
+    pub blend_ns: Option<u64>,
+    /// Skips the gate, not the safety checks.
+    pub force: bool,
+}
+
+/// What came of a swap.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SwapReport {
+    /// The group.
+    pub group: String,
+    /// The controller in charge before.
+    pub from: u32,
+    /// The one that was to take over.
+    pub to: u32,
+    /// `done`, `refused` or `rolled back`.
+    pub result: String,
+    /// Why, where it was refused or rolled back.
+    pub reason: Option<String>,
+    /// The number that the reason is about …
+    pub value: Option<f64>,
+    /// … and what is allowed of it.
+    pub limit: Option<f64>,
+    /// The first tick of the new one, or the tick of the refusal.
+    pub tick: u64,
+    /// Ticks missed within 50 ms of the switch.
+    pub missed_ticks: u64,
+    /// Step of each joint's torque at the switch, N·m.
+    pub torque_step_nm: Vec<f64>,
+    /// Change of V over the first tick, in the V of the new law.
+    pub delta_v: Option<f64>,
+    /// Median round trip of the last 100 ms before the switch, ns.
+    pub latency_before_ns: Option<u64>,
+    /// Median round trip of the first 100 ms after it, ns.
+    pub latency_after_ns: Option<u64>,
+    /// From the command's arrival at the supervisor to the first torque of the new controller, ns.
+    pub command_to_authority_ns: Option<u64>,
+}
+
+/// The supervisor's line.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Answer {
+    /// The swap was tried.
+    Report(Box<SwapReport>),
+    /// The request makes no sense here.
+    Usage(String),
+}
+
+/// The supervisor's end.
+pub(super) struct Control {
+    listener: UnixListener,
+}
+
+impl Control {
+    pub(super) fn open(group: &Group) -> std::io::Result<Self> {
+        let listener = by_short_path(&group.file(FILE), UnixListener::bind)?;
+        listener.set_nonblocking(true)?;
+        Ok(Self { listener })
+    }
+
+    /// The next client that waits, with what it asks for.
+    pub(super) fn accept(&self) -> Option<(Client, Result<SwapRequest, String>)> {
+        let (stream, _) = self.listener.accept().ok()?;
+        let line = read_line(&stream);
+        let request = line.and_then(|line| serde_json::from_str(&line).map_err(|e| e.to_string()));
+        Some((Client { stream }, request))
+    }
+}
+
+/// Somebody who waits for an answer.
+pub(super) struct Client {
+    stream: UnixStream,
+}
+
+impl Client {
+    /// Whoever has left meanwhile gets none.
+    pub(super) fn answer(mut self, answer: &Answer) {
+        let line = serde_json::to_string(answer).unwrap_or_default();
+        let _ = self.stream.set_write_timeout(Some(LINE_WITHIN));
+        let _ = writeln!(self.stream, "{line}");
+    }
+}
+
+fn read_line(stream: &UnixStream) -> Result<String, String> {
+    let mut line = String::new();
+    stream.set_nonblocking(false).map_err(|e| e.to_string())?;
+    stream.set_read_timeout(Some(LINE_WITHIN)).map_err(|e| e.to_string())?;
+    BufReader::new(stream.take(LINE_MAX)).read_line(&mut line).map_err(|e| e.to_string())?;
+    Ok(line)
+}
+
+/// Asks the supervisor of a running group and waits for its answer; `None` if the group ended meanwhile.
+///
+/// # Errors
+/// If the group is not running, or has no such socket (yet).
+pub fn connect(group: &str, request: &SwapRequest) -> anyhow::Result<Option<Answer>> {
+    use anyhow::Context as _;
+    let path = Group::join(group)?.file(FILE);
+    let mut stream = by_short_path(&path, UnixStream::connect)
+        .with_context(|| format!("the supervisor of group {group} does not answer"))?;
+    writeln!(stream, "{}", serde_json::to_string(request)?)?;
+    let mut line = String::new();
+    // A supervisor that is killed closes the connection.
+    BufReader::new(stream).read_line(&mut line).unwrap_or(0);
+    Ok(serde_json::from_str(&line).ok())
+}
+
+/// A socket's path has room for 108 bytes, a folder's may be longer: it is named by its descriptor.
+fn by_short_path<T>(path: &Path, act: impl FnOnce(PathBuf) -> std::io::Result<T>) -> std::io::Result<T> {
+    let folder = File::open(path.parent().unwrap_or(Path::new("/")))?;
+    act(PathBuf::from(format!("/proc/self/fd/{}/{FILE}", folder.as_raw_fd())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_request_reaches_the_supervisor_and_its_answer_the_client() {
+        let name = format!("test-control-{}", std::process::id());
+        let group = Group::create(&name).unwrap();
+        let control = Control::open(&group).unwrap();
+        let asked = SwapRequest { law: Some(LawKind::Ctc), at_tick: Some(7), ..SwapRequest::default() };
+        let (request, group_name) = (asked.clone(), name.clone());
+        let client = std::thread::spawn(move || connect(&group_name, &request).unwrap());
+        let (waiting, request) = loop {
+            if let Some(found) = control.accept() {
+                break found;
+            }
+            loopbound_shared::clock::sleep_ns(1_000_000);
+        };
+        assert_eq!(request.unwrap(), asked);
+        let report = Answer::Report(Box::new(SwapReport { tick: 7, to: 2, ..SwapReport::default() }));
+        waiting.answer(&report);
+        assert_eq!(client.join().unwrap(), Some(report));
+    }
+
+    #[test]
+    fn a_supervisor_that_dies_leaves_no_client_waiting_and_a_group_that_is_not_there_is_named() {
+        let name = format!("test-control-dead-{}", std::process::id());
+        let group = Group::create(&name).unwrap();
+        let control = Control::open(&group).unwrap();
+        let group_name = name.clone();
+        let client = std::thread::spawn(move || connect(&group_name, &SwapRequest::default()).unwrap());
+        while control.accept().is_none() {
+            loopbound_shared::clock::sleep_ns(1_000_000);
+        }
+        assert_eq!(client.join().unwrap(), None);
+        drop((control, group));
+        assert!(connect(&name, &SwapRequest::default()).unwrap_err().to_string().contains(&name));
+    }
+}

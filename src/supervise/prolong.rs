@@ -1,0 +1,63 @@
+//! Prolonging a run whose verdict is open: the supervisor reads what the launcher's monitor last found, and moves the
+//! tick at which the plant stops. Never in lockstep, where more time is not more data of the same kind.
+
+use loopbound_monitor::verdict::Interim;
+use loopbound_shared::event::CommandKind;
+use loopbound_shared::sample::Command;
+
+use super::Supervisor;
+
+/// How long before the end it is decided; a look, a block and the way of the records lie in between.
+const AHEAD_NS: u64 = 500_000_000;
+/// By how much a run grows at a time.
+const STEP_NS: u64 = 1_000_000_000;
+
+/// The tick at which the plant is to stop instead of `stop`, if it should go on.
+fn prolonged(tick: u64, stop: u64, most: u64, period_ns: u64, interim: Option<&Interim>) -> Option<u64> {
+    let near = tick.saturating_add(AHEAD_NS / period_ns + 1) >= stop;
+    // No verdict yet means no block yet: the run was shorter than one.
+    let open = interim.is_none_or(|interim| matches!(interim.status.as_str(), "inconclusive" | "no data"));
+    (near && open && stop < most).then(|| stop.saturating_add(STEP_NS.div_ceil(period_ns)).min(most))
+}
+
+impl Supervisor<'_> {
+    /// At every look at a running group.
+    pub(super) fn prolong_if_undecided(&mut self) {
+        let scenario = self.scenario;
+        if self.lockstep() || scenario.expect.conditions.is_empty() {
+            return;
+        }
+        let period_ns = scenario.period_ns();
+        let most = scenario.max_duration_ns() / period_ns;
+        let interim = Interim::read(&self.group.file(Interim::FILE));
+        let Some(stop) = prolonged(self.tick(), self.stop_tick, most, period_ns, interim.as_ref()) else { return };
+        let command = Command { kind: CommandKind::StopAt.code(), tick: stop, ..Command::zeroed() };
+        // A plant that is just ending may not answer: then the run stays as long as it was.
+        if self.command(command).is_ok() {
+            self.stop_tick = stop;
+            self.options.progress.set_length(stop);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn interim(status: &str) -> Interim {
+        Interim { tick: 0, status: status.to_owned() }
+    }
+
+    #[test]
+    fn a_run_grows_a_second_at_a_time_while_it_is_open_and_never_beyond_its_most() {
+        let at = |tick, stop, status| prolonged(tick, stop, 6_500, 1_000_000, Some(&interim(status)));
+        assert_eq!(at(1_000, 5_000, "inconclusive"), None);
+        assert_eq!(at(4_600, 5_000, "inconclusive"), Some(6_000));
+        assert_eq!(at(5_600, 6_000, "inconclusive"), Some(6_500));
+        assert_eq!(at(6_400, 6_500, "inconclusive"), None);
+        for decided in ["passed", "failed", "violated"] {
+            assert_eq!(at(4_600, 5_000, decided), None);
+        }
+        assert_eq!(prolonged(10, 100, 6_500, 1_000_000, None), Some(1_100));
+    }
+}

@@ -1,0 +1,144 @@
+//! Who comes after whom: restarts with back-off, new members, retirement of those that were replaced, priorities.
+//!
+//! A controller's number is never given twice: what a dead one may still have under way is of a stranger.
+
+use loopbound_shared::clock;
+use loopbound_shared::event::CommandKind;
+use loopbound_shared::realtime::{priority, set_priority};
+use loopbound_shared::sample::Command;
+use loopbound_shared::scenario::Role;
+
+use super::Supervisor;
+use super::child::Child;
+use crate::processes::Process;
+
+/// A process that is to be started again.
+pub(super) struct Due {
+    process: Process,
+    restarts: u32,
+    /// The number of the one that died.
+    replaces: u32,
+    at_ns: u64,
+}
+
+/// A controller that was replaced and goes when its time as a standby is over.
+pub(super) struct Retirement {
+    id: u32,
+    at_ns: u64,
+}
+
+impl Supervisor<'_> {
+    /// A process that joined a running group is ready: the plant learns of a controller, and a death is recovered.
+    pub(super) fn admit(&mut self, pid: u32) {
+        let Some(child) = self.children.iter().find(|c| c.pid == pid) else { return };
+        let (role, id, replaces, name) = (child.process.role, child.process.id, child.replaces, child.process.name());
+        let admitted = role != Role::Controller
+            || self
+                .command(Command { kind: CommandKind::AddMember.code(), controller: id, ..Command::zeroed() })
+                .inspect_err(|why| self.note(&format!("{name}: {why}")))
+                .is_ok();
+        if let Some(child) = self.children.iter_mut().find(|c| c.pid == pid) {
+            child.member = admitted && role == Role::Controller;
+        }
+        self.set_priorities();
+        let Some(dead) = replaces else { return };
+        if admitted {
+            self.note(&format!("{name} is ready, in place of the one that died"));
+        }
+        for death in self.deaths.iter_mut().filter(|d| d.role == role.name() && d.id == dead) {
+            death.recovered |= admitted;
+        }
+    }
+
+    /// Notes when to start it again, twice as late each time. In lockstep a controller is not: the tick in which it
+    /// would be back depends on the machine, and runs would differ.
+    pub(super) fn plan_restart(&mut self, process: Process, restarts: u32, replaces: u32) {
+        let section = &self.scenario.supervisor;
+        let given_up = restarts >= section.restarts_max;
+        if given_up || (self.lockstep() && process.role == Role::Controller) {
+            return;
+        }
+        let doubled = section.back_off.ns().saturating_mul(1 << restarts.min(30));
+        let at_ns = clock::now_ns().saturating_add(doubled.min(section.back_off_max.ns()));
+        self.due.push_back(Due { process, restarts: restarts + 1, replaces, at_ns });
+    }
+
+    pub(super) fn start_due(&mut self) {
+        for _ in 0..self.due.len() {
+            let Some(mut due) = self.due.pop_front() else { return };
+            if due.at_ns > clock::now_ns() {
+                self.due.push_back(due);
+                continue;
+            }
+            if due.process.role == Role::Controller {
+                due.process.id = self.take_id();
+            }
+            match Child::start(due.process.clone(), &self.group, due.restarts) {
+                Ok(mut child) => {
+                    child.replaces = Some(due.replaces);
+                    let dead = |c: &Child| c.process.role == due.process.role && c.process.id == due.replaces;
+                    self.children.retain(|c| !dead(c));
+                    self.children.push(child);
+                }
+                Err(why) => {
+                    self.note(&format!("{why:#}"));
+                    self.plan_restart(due.process, due.restarts, due.replaces);
+                }
+            }
+        }
+    }
+
+    /// The number of a controller that is about to be started.
+    pub(super) fn take_id(&mut self) -> u32 {
+        self.next_id += 1;
+        self.next_id - 1
+    }
+
+    /// `id` has been replaced: it stays as a standby for `after_ns`.
+    pub(super) fn plan_retirement(&mut self, id: u32, after_ns: u64) {
+        self.retirements.push(Retirement { id, at_ns: clock::now_ns().saturating_add(after_ns) });
+    }
+
+    /// Lets those go whose time is over. Whoever is in charge again by then stays.
+    pub(super) fn retire_due(&mut self) {
+        let now_ns = clock::now_ns();
+        while let Some(at) = self.retirements.iter().position(|r| r.at_ns <= now_ns) {
+            let id = self.retirements.remove(at).id;
+            if id == self.active {
+                continue;
+            }
+            let of = |c: &Child| c.process.role == Role::Controller && c.process.id == id;
+            let Some(index) = self.children.iter().position(of) else { continue };
+            if self.children[index].member && self.children[index].lives() {
+                let remove = Command { kind: CommandKind::RemoveMember.code(), controller: id, ..Command::zeroed() };
+                if let Err(why) = self.command(remove) {
+                    self.note(&format!("controller {id}: {why}"));
+                }
+            }
+            self.children[index].retiring = true;
+            self.children[index].terminate();
+        }
+    }
+
+    /// Forgets those that have gone as they were asked to.
+    pub(super) fn bury_retired(&mut self) {
+        while let Some(index) = self.children.iter().position(|c| c.retiring && !c.lives()) {
+            let child = self.children.remove(index);
+            self.block.clear_place_of(child.pid);
+            child.remove_log();
+            self.node.clean_up_dead_nodes();
+        }
+    }
+
+    /// Standbys run above the active controller: when that one dies, the kernel takes it down at its own priority, on
+    /// the core where a standby is to answer the same tick.
+    pub(super) fn set_priorities(&self) {
+        for child in self.controllers().filter(|c| c.ready() && c.member) {
+            let wanted = self.scenario.realtime.priority + u32::from(child.process.id != self.active);
+            // Only who has real time by its own start-up; a refusal costs a failover's margin, not the run.
+            if priority(child.pid).is_ok_and(|now| now != 0 && now != wanted) {
+                let _ = set_priority(child.pid, wanted);
+            }
+        }
+    }
+}

@@ -1,0 +1,355 @@
+//! A swap by command, step by step between two looks: start the new process, make it a member, ask the plant, watch
+//! what becomes of it, answer, and retire whoever is not needed any more.
+
+use std::collections::VecDeque;
+
+use loopbound_monitor::judge::Judge;
+use loopbound_monitor::summary::SwapSummary;
+use loopbound_monitor::tracker::segments;
+use loopbound_monitor::{Config, Row, Tracker};
+use loopbound_shared::clock;
+use loopbound_shared::event::{CommandKind, Refusal, ReplyKind};
+use loopbound_shared::sample::{Announce, Command, Reply, TickRecord};
+use loopbound_shared::scenario::{Restart, Role, Scenario, ScenarioError};
+use loopbound_shared::with_links;
+
+use super::child::Child;
+use super::control::{Answer, Client, SwapReport, SwapRequest};
+use super::{READY_NS, Supervisor};
+use crate::processes::Process;
+
+/// Latencies before and after are those of so long, and misses count for less.
+const COMPARED_NS: u64 = 100_000_000;
+
+/// A swap under way.
+pub(super) struct Swapping {
+    client: Client,
+    request: SwapRequest,
+    asked_ns: u64,
+    /// Whether a process was started for it.
+    started: bool,
+    stage: Stage,
+    account: Account,
+    report: SwapReport,
+}
+
+enum Stage {
+    /// The new process is starting.
+    Starting,
+    /// The plant has the command.
+    Asked,
+    /// Done; may be taken back until this tick.
+    Watched(u64),
+}
+
+impl Supervisor<'_> {
+    /// Takes a new request, or goes on with the one under way.
+    pub(super) fn serve_swaps(&mut self) {
+        while let Some((client, request)) = self.control.accept() {
+            let refused = |why: &str| Answer::Usage(why.to_owned());
+            match request {
+                Err(why) => client.answer(&Answer::Usage(format!("the request is not understood: {why}"))),
+                // The tick in which a new process is ready depends on the machine: no two runs would be alike.
+                Ok(_) if self.lockstep() => {
+                    client.answer(&refused("in lockstep swaps are scheduled: write them as [[swap]] in the scenario"));
+                }
+                Ok(_) if self.swap.is_some() => client.answer(&self.at_once(Refusal::Busy, 0)),
+                Ok(request) => self.begin_swap(client, request),
+            }
+        }
+        if let Some(swap) = self.swap.take() {
+            self.swap = self.go_on(swap);
+        }
+    }
+
+    /// A refusal before the plant was asked.
+    fn at_once(&self, reason: Refusal, to: u32) -> Answer {
+        Answer::Report(Box::new(SwapReport {
+            group: self.group.name().to_owned(),
+            from: self.active,
+            to,
+            tick: self.tick(),
+            result: "refused".to_owned(),
+            reason: Some(reason.name().to_owned()),
+            ..SwapReport::default()
+        }))
+    }
+
+    fn begin_swap(&mut self, client: Client, request: SwapRequest) {
+        let named = [request.law.is_some(), request.exe.is_some(), request.to.is_some()];
+        if named.into_iter().filter(|given| *given).count() != 1 {
+            return client.answer(&Answer::Usage("exactly one of law, exe and to is needed".to_owned()));
+        }
+        let to = match request.to {
+            Some(to) if self.controllers().any(|c| c.process.id == to && c.ready() && c.member) => to,
+            Some(to) => return client.answer(&self.at_once(Refusal::UnknownController, to)),
+            None => self.take_id(),
+        };
+        if request.to.is_none() {
+            let process = Process {
+                role: Role::Controller,
+                id: to,
+                law: request.law,
+                exe: request.exe.clone(),
+                scenario: self.group.file("scenario.toml"),
+                // Until it is in charge its death is nobody's loss.
+                policy: Restart::Ignore,
+                out: None,
+            };
+            match Child::start(process, &self.group, 0) {
+                Ok(child) => self.children.push(child),
+                Err(why) => return client.answer(&Answer::Usage(format!("{why:#}"))),
+            }
+        }
+        let account = match Account::new(self.scenario) {
+            Ok(account) => account,
+            Err(why) => return client.answer(&Answer::Usage(why.to_string())),
+        };
+        let report = SwapReport { group: self.group.name().to_owned(), from: self.active, to, ..SwapReport::default() };
+        let (asked_ns, started) = (clock::now_ns(), request.to.is_none());
+        self.swap = Some(Swapping { client, request, asked_ns, started, stage: Stage::Starting, account, report });
+    }
+
+    fn go_on(&mut self, mut swap: Swapping) -> Option<Swapping> {
+        for announce in self.controllers().filter_map(|c| c.announce.as_ref()) {
+            swap.account.learn(announce);
+        }
+        while self.records.take_with(|record| swap.account.feed(record, swap.report.to)).is_some() {}
+        match swap.stage {
+            Stage::Starting => self.ask_when_ready(swap),
+            Stage::Asked => self.look_at_asked(swap),
+            Stage::Watched(until_tick) => self.look_at_watched(swap, until_tick),
+        }
+    }
+
+    fn ask_when_ready(&mut self, mut swap: Swapping) -> Option<Swapping> {
+        let to = swap.report.to;
+        let Some(child) = self.controllers().find(|c| c.process.id == to).filter(|c| c.lives()) else {
+            let child = self.controllers().find(|c| c.process.id == to);
+            let said = child.and_then(|c| c.said().pop()).map_or_else(String::new, |said| format!(": {said}"));
+            return self.conclude(swap, "refused", Some(format!("the new process ended before it was ready{said}")));
+        };
+        if !child.member {
+            let late = clock::now_ns() >= swap.asked_ns + READY_NS;
+            // Ready, and the plant would not have it: it was said why.
+            let refused = child.ready();
+            if !late && !refused {
+                return Some(swap);
+            }
+            let why = if refused { "the plant has no room for it" } else { "the new process did not become ready" };
+            return self.conclude(swap, "refused", Some(why.to_owned()));
+        }
+        swap.report.from = self.active;
+        let command = Command {
+            kind: CommandKind::Swap.code(),
+            controller: to,
+            tick: swap.request.at_tick.unwrap_or(0),
+            ns: swap.request.blend_ns.unwrap_or(self.scenario.swap_gate.blend.ns()),
+            force: u64::from(swap.request.force),
+        };
+        match self.command(command) {
+            Ok(_) => {
+                swap.stage = Stage::Asked;
+                Some(swap)
+            }
+            Err(why) => self.conclude(swap, "refused", Some(why)),
+        }
+    }
+
+    fn status_of(&self, swap: &Swapping) -> Option<(ReplyKind, Reply)> {
+        let kind = CommandKind::SwapStatus.code();
+        let reply = self.ask_plant(Command { kind, controller: swap.report.to, ..Command::zeroed() }).ok()?;
+        Some((ReplyKind::from_code(reply.kind)?, reply))
+    }
+
+    fn look_at_asked(&mut self, mut swap: Swapping) -> Option<Swapping> {
+        match self.status_of(&swap) {
+            Some((ReplyKind::Done, reply)) => {
+                let gate = &self.scenario.swap_gate;
+                let blend_ns = swap.request.blend_ns.unwrap_or(gate.blend.ns());
+                let watched_ns = gate.rollback_for.ns().max(COMPARED_NS).max(blend_ns);
+                swap.report.tick = reply.tick;
+                swap.stage = Stage::Watched(reply.tick + watched_ns.div_ceil(self.scenario.period_ns()) + 1);
+                Some(swap)
+            }
+            Some((ReplyKind::Refused, reply)) => self.refuse(swap, "refused", &reply),
+            Some((ReplyKind::RolledBack, reply)) => self.refuse(swap, "rolled back", &reply),
+            Some((ReplyKind::Pending, _)) => Some(swap),
+            None => self.conclude(swap, "refused", Some("the plant does not answer".to_owned())),
+        }
+    }
+
+    fn look_at_watched(&mut self, swap: Swapping, until_tick: u64) -> Option<Swapping> {
+        match self.status_of(&swap) {
+            Some((ReplyKind::RolledBack, reply)) => self.refuse(swap, "rolled back", &reply),
+            _ if self.tick() <= until_tick && !self.plant_ended() => Some(swap),
+            _ => self.conclude(swap, "done", None),
+        }
+    }
+
+    fn refuse(&mut self, mut swap: Swapping, result: &str, reply: &Reply) -> Option<Swapping> {
+        let reason = Refusal::from_code(reply.reason).map_or("no reason given", Refusal::name);
+        swap.report.tick = if swap.report.tick == 0 { reply.tick } else { swap.report.tick };
+        (swap.report.value, swap.report.limit) = (Some(reply.value), Some(reply.limit));
+        self.conclude(swap, result, Some(reason.to_owned()))
+    }
+
+    /// Answers, and says who goes.
+    fn conclude(&mut self, mut swap: Swapping, result: &str, reason: Option<String>) -> Option<Swapping> {
+        let (from, to) = (swap.report.from, swap.report.to);
+        (swap.report.result, swap.report.reason) = (result.to_owned(), reason);
+        if swap.report.tick == 0 {
+            swap.report.tick = self.tick();
+        }
+        swap.account.complete(&mut swap.report, swap.asked_ns, self.scenario.period_ns());
+        if result == "done" {
+            let policy = self.scenario.supervisor.controller;
+            if let Some(child) = self.children.iter_mut().find(|c| c.process.id == to && c.member) {
+                child.process.policy = policy;
+            }
+            // An exchange with a standby retires nobody.
+            if swap.started {
+                self.plan_retirement(from, self.scenario.swap_gate.retire_after.ns());
+            }
+        } else if swap.started {
+            // At the next look: by then it is known who is in charge now.
+            self.plan_retirement(to, 1);
+        }
+        let why = swap.report.reason.as_ref().map_or_else(String::new, |why| format!(": {why}"));
+        self.note(&format!("swap from controller {from} to {to} in tick {}: {result}{why}", swap.report.tick));
+        swap.client.answer(&Answer::Report(Box::new(swap.report)));
+        None
+    }
+}
+
+/// What the records say of a swap, judged as the monitor judges.
+struct Account {
+    tracker: Box<dyn Judged>,
+    rows: VecDeque<(u64, Option<u64>)>,
+    first: Option<First>,
+    learnt: Vec<u32>,
+    rows_max: usize,
+}
+
+/// The first tick of the new controller.
+struct First {
+    tick: u64,
+    torque_step_nm: Vec<f64>,
+    accepted_ns: u64,
+}
+
+/// A tracker of any number of links.
+trait Judged {
+    fn learn(&mut self, announce: &Announce);
+    fn feed(&mut self, record: &TickRecord) -> Option<Row>;
+    fn swap_to(&self, id: u32) -> Option<&SwapSummary>;
+}
+
+impl<const N: usize> Judged for Tracker<N> {
+    fn learn(&mut self, announce: &Announce) {
+        Self::learn(self, announce);
+    }
+
+    fn feed(&mut self, record: &TickRecord) -> Option<Row> {
+        let row = Self::feed(self, record);
+        // Nobody reads these events here: the monitor writes its own.
+        self.drain_events().for_each(drop);
+        row
+    }
+
+    fn swap_to(&self, id: u32) -> Option<&SwapSummary> {
+        self.swaps().list().iter().rev().find(|swap| swap.to == id && swap.kind == "swap")
+    }
+}
+
+fn tracker<const N: usize>(scenario: &Scenario) -> Result<Box<dyn Judged>, ScenarioError> {
+    Ok(Box::new(Tracker::<N>::new(Config::of(scenario), Some(Judge::new(scenario)?))))
+}
+
+impl Account {
+    fn new(scenario: &Scenario) -> Result<Self, ScenarioError> {
+        let links = scenario.links();
+        Ok(Self {
+            tracker: with_links!(links, tracker::<N>(scenario))?,
+            rows: VecDeque::new(),
+            first: None,
+            learnt: Vec::new(),
+            rows_max: usize::try_from(COMPARED_NS / scenario.period_ns()).unwrap_or(0).max(1),
+        })
+    }
+
+    fn learn(&mut self, announce: &Announce) {
+        if !self.learnt.contains(&announce.id) {
+            self.learnt.push(announce.id);
+            self.tracker.learn(announce);
+        }
+    }
+
+    fn feed(&mut self, record: &TickRecord, to: u32) {
+        let Some(row) = self.tracker.feed(record) else { return };
+        self.rows.push_back((row.tick, row.round_trip_ns));
+        if self.first.is_none() {
+            self.first = first_of(record, to);
+            if self.first.is_none() && self.rows.len() > self.rows_max {
+                self.rows.pop_front();
+            }
+        }
+    }
+
+    fn complete(&self, report: &mut SwapReport, asked_ns: u64, period_ns: u64) {
+        if let Some(swap) = self.tracker.swap_to(report.to).filter(|swap| swap.result != "refused") {
+            (report.missed_ticks, report.delta_v) = (swap.missed_ticks, swap.delta_v);
+        }
+        let Some(first) = &self.first else { return };
+        let compared = COMPARED_NS / period_ns;
+        let round_trips = |from: u64, to: u64| {
+            let within = self.rows.iter().filter(move |(tick, _)| (from..to).contains(tick));
+            median(within.filter_map(|(_, round_trip_ns)| *round_trip_ns).collect())
+        };
+        report.torque_step_nm.clone_from(&first.torque_step_nm);
+        report.latency_before_ns = round_trips(first.tick.saturating_sub(compared), first.tick);
+        report.latency_after_ns = round_trips(first.tick, first.tick + compared);
+        report.command_to_authority_ns = Some(first.accepted_ns.saturating_sub(asked_ns));
+    }
+}
+
+/// The tick in which a torque of `to` first acts, with the step from the torque before it.
+fn first_of(record: &TickRecord, to: u32) -> Option<First> {
+    let segments = segments(record);
+    let at = segments.iter().position(|segment| segment.writer == to)?;
+    let links = usize::try_from(record.links).unwrap_or(0).min(record.q.len());
+    let before = at.checked_sub(1).map(|before| segments[before].tau).unwrap_or_default();
+    let step = segments[at].tau.iter().zip(before).take(links).map(|(new, old)| new - old);
+    Some(First { tick: record.tick, torque_step_nm: step.collect(), accepted_ns: record.accepted_ns })
+}
+
+fn median(mut values: Vec<u64>) -> Option<u64> {
+    values.sort_unstable();
+    values.get(values.len() / 2).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use loopbound_shared::sample::Segment;
+
+    #[test]
+    fn the_torque_step_is_that_of_each_joint_at_the_first_torque_of_the_new_one() {
+        let mut record = TickRecord { tick: 9, links: 2, segments_used: 2, accepted_ns: 70, ..TickRecord::zeroed() };
+        let segment = |writer: u32, first: f64, second: f64| {
+            let mut segment = Segment { writer, ..Segment::zeroed() };
+            segment.tau[..2].copy_from_slice(&[first, second]);
+            segment
+        };
+        record.segments[0] = segment(1, 1.0, 5.0);
+        record.segments[1] = segment(2, 1.5, 4.0);
+        let first = first_of(&record, 2).unwrap();
+        assert_eq!((first.tick, first.accepted_ns, first.torque_step_nm), (9, 70, vec![0.5, -1.0]));
+        assert!(first_of(&record, 3).is_none());
+    }
+
+    #[test]
+    fn the_median_of_nothing_is_nothing() {
+        assert_eq!((median(vec![]), median(vec![3, 1, 2])), (None, Some(2)));
+    }
+}
