@@ -11,7 +11,7 @@ use loopbound_shared::role::RoleArgs;
 use loopbound_shared::scenario::{Mode, Scenario, Wakeup, parse_duration, parse_rate};
 
 use crate::exit::Exit;
-use crate::{bound, check, clean, doctor, model, pages, ps, roles, run, study, swap};
+use crate::{bound, check, clean, doctor, model, pages, ps, replay, report, roles, run, study, swap};
 
 /// kHz control loops split across processes over shared memory: latency measured to the nanosecond, and a Lyapunov
 /// bound checked live.
@@ -41,6 +41,7 @@ Examples:
   loopbound run --rate 2kHz --law ctc --duration 30s   another law, faster, longer
   loopbound run --set plant.mass_error=0.1             any key of the scenario
   loopbound run scenarios/ci.toml --json --out results one JSON document, and all files of the run
+  loopbound run --tui --duration 60s                   live on the terminal
   loopbound run --mode lockstep                        virtual time, as fast as the machine allows")]
     Run(run::RunArgs),
     /// Watch a running group; attach and detach at any time.
@@ -48,7 +49,8 @@ Examples:
 Examples:
   loopbound monitor --group lb-4711                    until the group ends or Ctrl-C, then a report
   loopbound monitor --group lb-4711 --duration 5s --json
-  loopbound monitor --group lb-4711 --out results")]
+  loopbound monitor --group lb-4711 --out results
+  loopbound monitor --group lb-4711 --tui              live on the terminal")]
     Monitor(MonitorArgs),
     /// Replace the controller in charge of a running group, without a missed tick.
     #[command(after_help = "\
@@ -59,6 +61,20 @@ Examples:
   loopbound swap --group lb-4711 --to 2 --json         to the standby with number 2
 Exit code 4: refused or rolled back; the old controller is still in charge.")]
     Swap(swap::SwapArgs),
+    /// Feed a recorded run to the same code again: identical to the bit, or what if.
+    #[command(after_help = "\
+Examples:
+  loopbound replay results                             states, torques, V and verdict again, bit for bit
+  loopbound replay results --law ctc                   what if another law had given the torques
+  loopbound replay results --set plant.mass_error=0.2 --json
+Exit codes: 0 identical; 1 it differs; 2 unreadable, or of another build; 3 records are missing, what is there agrees.")]
+    Replay(replay::ReplayArgs),
+    /// Write report.html of a recorded run again, or of two runs side by side.
+    #[command(after_help = "\
+Examples:
+  loopbound report results                             results/report.html
+  loopbound report before after --out compared.html    two runs side by side")]
+    Report(report::ReportArgs),
     /// List the running groups of this user and their processes.
     #[command(after_help = "Examples:\n  loopbound ps\n  loopbound ps --json")]
     Ps(JsonArgs),
@@ -175,6 +191,9 @@ pub struct MonitorArgs {
     /// Print one JSON document instead of the report.
     #[arg(long)]
     pub json: bool,
+    /// Draw the group on the terminal instead: chain, V and its bounds, latencies, events.
+    #[arg(long, conflicts_with_all = ["out", "json"])]
+    pub tui: bool,
     /// How long to watch (such as 5s); default until the group ends.
     #[arg(long, value_parser = parse_duration, value_name = "TIME")]
     pub duration: Option<u64>,
@@ -224,7 +243,7 @@ fn checked<T: 'static, E: ToString + 'static>(
     move |text| parse(text).map(|_| text.to_owned()).map_err(|e| e.to_string())
 }
 
-fn word<T: std::str::FromStr<Err: ToString>>(text: &str) -> Result<T, String> {
+pub(crate) fn word<T: std::str::FromStr<Err: ToString>>(text: &str) -> Result<T, String> {
     text.parse().map_err(|e: T::Err| e.to_string())
 }
 
@@ -294,6 +313,8 @@ fn dispatch(command: Command) -> anyhow::Result<Exit> {
         Command::Run(args) => run::run(&args),
         Command::Monitor(args) => roles::monitor(args),
         Command::Swap(args) => swap::run(&args),
+        Command::Replay(args) => replay::run(&args),
+        Command::Report(args) => report::run(&args),
         Command::Ps(args) => ps::run(args.json),
         Command::Doctor(args) => doctor(args.json),
         Command::Clean => clean::run(),

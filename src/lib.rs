@@ -14,6 +14,8 @@ pub mod model;
 pub mod pages;
 pub mod processes;
 pub mod ps;
+pub mod replay;
+pub mod report;
 pub mod roles;
 pub mod run;
 pub mod signals;

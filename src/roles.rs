@@ -3,6 +3,7 @@
 use std::sync::atomic::AtomicBool;
 
 use anyhow::Context as _;
+use loopbound_monitor::tui::Left;
 use loopbound_shared::realtime::die_with_parent;
 use loopbound_shared::role::{RoleArgs, RoleError};
 
@@ -38,6 +39,7 @@ fn begin(parent: Option<u32>) -> anyhow::Result<&'static AtomicBool> {
 /// The monitor's, or the system's.
 pub fn monitor(args: cli::MonitorArgs) -> anyhow::Result<Exit> {
     let stop = begin(args.parent)?;
+    let tui = args.tui;
     let args = loopbound_monitor::MonitorArgs {
         group: args.group,
         id: args.id,
@@ -48,6 +50,10 @@ pub fn monitor(args: cli::MonitorArgs) -> anyhow::Result<Exit> {
         managed: args.managed,
         duration_ns: args.duration,
     };
+    if tui {
+        let left = loopbound_monitor::tui::run(&args, stop)?;
+        return Ok(if left == Left::Interrupted { Exit::Interrupted } else { Exit::Held });
+    }
     loopbound_monitor::run(&args, stop)?;
     Ok(Exit::Held)
 }

@@ -38,6 +38,9 @@ pub struct RunArgs {
     /// What the run must show (TOML), in place of the scenario's [expect].
     #[arg(long, value_name = "FILE")]
     pub expect: Option<PathBuf>,
+    /// Draw the run on the terminal while it lasts.
+    #[arg(long, conflicts_with_all = ["json", "quiet"])]
+    pub tui: bool,
     /// No progress, no notes and no report: only files, the exit code and errors.
     #[arg(long, short)]
     pub quiet: bool,
@@ -56,10 +59,16 @@ pub fn run(args: &RunArgs) -> anyhow::Result<Exit> {
         group: args.group.clone().unwrap_or_else(|| format!("lb-{}", std::process::id())),
         out: out.clone(),
         progress: progress(args, &scenario),
-        quiet: args.quiet,
+        quiet: args.quiet || args.tui,
         stop: &stop,
     };
-    let outcome = supervise::supervise(&scenario, &options)?;
+    let view = args.tui.then(|| live_view(&options.group)).transpose()?;
+    let outcome = supervise::supervise(&scenario, &options);
+    if let Some(view) = view {
+        // It leaves by itself when the group has ended, and gives the terminal back before the report is printed.
+        let _ = view.join();
+    }
+    let outcome = outcome?;
     report(args, out.as_deref(), outcome)
 }
 
@@ -80,9 +89,27 @@ fn prepare_folder(folder: &Path) -> anyhow::Result<PathBuf> {
     Ok(folder.canonicalize().map_err(fail)?)
 }
 
+/// A process of its own draws, so that the supervisor has nothing else to do. The terminal's Ctrl-C is a key for it, and
+/// is passed on as the signal that it would have been.
+fn live_view(group: &str) -> anyhow::Result<std::thread::JoinHandle<()>> {
+    anyhow::ensure!(std::io::stdout().is_terminal(), Failure::usage("--tui needs a terminal"));
+    let (exe, own) = (std::env::current_exe()?, rustix::process::getpid());
+    let mut view = std::process::Command::new(exe)
+        .args(["monitor", "--tui", "--id", "1000", "--group", group, "--parent", &own.as_raw_nonzero().to_string()])
+        .spawn()
+        .context("the live view")?;
+    let wait = move || {
+        let interrupted = view.wait().is_ok_and(|status| status.code() == Some(i32::from(Exit::Interrupted.code())));
+        if interrupted {
+            let _ = rustix::process::kill_process(own, rustix::process::Signal::INT);
+        }
+    };
+    Ok(std::thread::Builder::new().name("view".to_owned()).spawn(wait)?)
+}
+
 /// On a terminal only. Nothing when piped or with `--json`.
 fn progress(args: &RunArgs, scenario: &Scenario) -> ProgressBar {
-    if args.quiet || args.json || !std::io::stderr().is_terminal() {
+    if args.quiet || args.json || args.tui || !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
     let style = ProgressStyle::with_template("{bar:40} {percent:>3} %  tick {human_pos} of {human_len}  {elapsed}")
@@ -97,6 +124,7 @@ fn report(args: &RunArgs, out: Option<&Path>, outcome: Outcome) -> anyhow::Resul
         let text = serde_json::to_string_pretty(summary)?;
         supervise::write_whole(&folder.join("summary.json"), text.as_bytes()).context("summary.json")?;
         check::write_junit(&folder.join("junit.xml"), summary)?;
+        crate::report::write(&[folder], &folder.join("report.html")).context("report.html")?;
     }
     let exit = exit_of(stopped, &record, summary.as_ref());
     let mut stdout = std::io::stdout().lock();

@@ -1,5 +1,5 @@
-//! The files of a run, written by a thread of their own: `samples.csv`, `events.jsonl`, `latency.hlog`, and at the end
-//! `summary.json`, `scenario.toml`, `blocks.jsonl` and `latency/*.{hgrm,svg}`.
+//! The files of a run, written by a thread of their own: `samples.mcap`, `samples.csv`, `events.jsonl`, `latency.hlog`,
+//! and at the end `summary.json`, `scenario.toml`, `blocks.jsonl` and `latency/*.{hgrm,svg}`.
 //!
 //! The queue to the thread is bounded. What finds it full is counted as dropped, so that a slow disc costs lines of a
 //! file and never a record; only in lockstep, where the plant can wait, the monitor waits too.
@@ -16,8 +16,11 @@ use hdrhistogram::Histogram;
 use hdrhistogram::serialization::V2DeflateSerializer;
 use hdrhistogram::serialization::interval_log::{IntervalLogWriterBuilder, Tag};
 
+use loopbound_shared::sample::{Announce, TickRecord};
+
 use crate::event::Event;
 use crate::hops::{Hop, Hops};
+use crate::recording::{About, McapWriter};
 use crate::summary::{Dropped, Summary};
 use crate::traces::Traces;
 use crate::tracker::Row;
@@ -28,14 +31,16 @@ const QUEUE: usize = 16_384;
 /// Interval logs give the largest value in milliseconds.
 const NS_PER_MS: f64 = 1e6;
 
-#[expect(
-    clippy::large_enum_variant,
-    reason = "nearly all entries are rows, and a box for each would cost an allocation a tick"
-)]
 enum Entry {
-    Row(Row),
+    /// Boxed: a queue of whole records would be tens of megabytes, full or not.
+    Tick(Box<(TickRecord, Row)>),
+    Announce(Box<Announce>),
     Event(Event),
-    Interval { start_ns: u64, duration_ns: u64, hops: Box<Hops> },
+    Interval {
+        start_ns: u64,
+        duration_ns: u64,
+        hops: Box<Hops>,
+    },
 }
 
 /// The sending end of the writer's queue.
@@ -48,20 +53,22 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Opens the files in `folder` (made if absent) and starts the writer. `wall_start_ns` is the wall time of the
-    /// start for the interval log. `lossless`: wait for the disc instead of dropping. `trace_s`: how much of the samples
-    /// before and after a change of the controller in charge goes into a file of its own.
+    /// Opens the files in `folder` (made if absent) and starts the writer. `lossless`: wait for the disc instead of
+    /// dropping. `trace_s`: how much of the samples before and after a change of the controller in charge goes into a
+    /// file of its own.
     ///
     /// # Errors
     /// If a file can't be made.
-    pub fn start(folder: &Path, links: usize, wall_start_ns: u64, lossless: bool, trace_s: f64) -> io::Result<Self> {
+    pub fn start(folder: &Path, about: About, lossless: bool, trace_s: f64) -> io::Result<Self> {
         fs::create_dir_all(folder)?;
         let open = |name: &str| File::create(folder.join(name)).map(BufWriter::new);
         let (mut samples, events, latency) = (open("samples.csv")?, open("events.jsonl")?, open("latency.hlog")?);
-        samples.write_all(csv_header(links).as_bytes())?;
+        samples.write_all(csv_header(about.links).as_bytes())?;
+        let (links, wall_start_ns) = (about.links, about.started.wall_ns);
+        let recording = McapWriter::create(&folder.join("samples.mcap"), about)?;
         let (queue, entries) = sync_channel(QUEUE);
         let traces = Traces::new(folder.join("changes"), csv_header(links), trace_s);
-        let write = move || write_entries(&entries, links, wall_start_ns, samples, events, latency, traces);
+        let write = move || write_entries(&entries, links, wall_start_ns, recording, samples, events, latency, traces);
         let writer = std::thread::Builder::new().name("recorder".to_owned()).spawn(write)?;
         let (folder, dropped) = (folder.to_owned(), Dropped::default());
         Ok(Self { folder, queue: Some(queue), writer: Some(writer), lossless, dropped })
@@ -76,15 +83,20 @@ impl Recorder {
         };
         match refused {
             None => {}
-            Some(Entry::Row(_)) => self.dropped.samples += 1,
-            Some(Entry::Event(_)) => self.dropped.events += 1,
+            Some(Entry::Tick(_)) => self.dropped.samples += 1,
+            Some(Entry::Event(_) | Entry::Announce(_)) => self.dropped.events += 1,
             Some(Entry::Interval { .. }) => self.dropped.intervals += 1,
         }
     }
 
-    /// Queues a line of `samples.csv`.
-    pub fn row(&mut self, row: Row) {
-        self.send(Entry::Row(row));
+    /// Queues a tick: its record for `samples.mcap` and its line of `samples.csv`.
+    pub fn tick(&mut self, record: &TickRecord, row: Row) {
+        self.send(Entry::Tick(Box::new((*record, row))));
+    }
+
+    /// Queues what a process said of itself.
+    pub fn announce(&mut self, announce: &Announce) {
+        self.send(Entry::Announce(Box::new(*announce)));
     }
 
     /// Queues a line of `events.jsonl`.
@@ -147,10 +159,12 @@ pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
     fs::rename(&beside, path)
 }
 
+#[expect(clippy::too_many_arguments, reason = "one for each file")]
 fn write_entries(
     entries: &Receiver<Entry>,
     links: usize,
     wall_start_ns: u64,
+    mut recording: McapWriter,
     mut samples: impl Write,
     mut events: impl Write,
     mut latency: impl Write,
@@ -166,13 +180,19 @@ fn write_entries(
     let mut line = String::with_capacity(1024);
     while let Ok(entry) = entries.recv() {
         match entry {
-            Entry::Row(row) => {
+            Entry::Tick(tick) => {
+                let (record, row) = &*tick;
+                recording.tick(record, row)?;
                 line.clear();
-                csv_line(&mut line, &row, links);
+                csv_line(&mut line, row, links);
                 samples.write_all(line.as_bytes())?;
                 traces.line(row.tick, row.t_s, row.active, &line)?;
             }
-            Entry::Event(event) => writeln!(events, "{}", event.to_json())?,
+            Entry::Announce(announce) => recording.announce(&announce)?,
+            Entry::Event(event) => {
+                recording.event(&event)?;
+                writeln!(events, "{}", event.to_json())?;
+            }
             Entry::Interval { start_ns, duration_ns, hops } => {
                 for hop in Hop::ALL {
                     let tag = Tag::new(hop.name());
@@ -184,6 +204,7 @@ fn write_entries(
         }
     }
     drop(log);
+    recording.finish()?;
     samples.flush()?;
     events.flush()?;
     latency.flush()
@@ -247,6 +268,7 @@ pub fn percentiles(histogram: &Histogram<u64>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::recording::Started;
     use crate::summary::SCHEMA;
     use crate::testing::good;
     use crate::tracker::Tracker;
@@ -256,7 +278,7 @@ mod tests {
     /// A run of 3000 ticks with an interval every 1000, and an event each.
     fn record_into(folder: &Path) -> Summary {
         let mut tracker: Tracker<3> = crate::testing::tracker();
-        let mut recorder = Recorder::start(folder, 3, 1_700_000_000_250_000_000, true, 0.1).unwrap();
+        let mut recorder = Recorder::start(folder, about(), true, 0.1).unwrap();
         for tick in 0..3000 {
             let mut record = good(tick);
             record.q[2] = 0.125;
@@ -264,7 +286,7 @@ mod tests {
                 record.receipts[0].arrived_ns = 0;
                 record.receipts[0].acceptance = 0;
             }
-            recorder.row(tracker.feed(&record).unwrap());
+            recorder.tick(&record, tracker.feed(&record).unwrap());
             tracker.drain_events().for_each(|event| recorder.event(event));
             if tick % 1000 == 999 {
                 recorder.interval((tick - 999) * 1_000_000, 1_000_000_000, tracker.interval());
@@ -276,6 +298,11 @@ mod tests {
         summary.dropped = recorder.finish().unwrap();
         recorder.write_end(&summary, tracker.hops(), tracker.blocks(), "[loop]\n").unwrap();
         summary
+    }
+
+    fn about() -> About {
+        let started = Started { wall_ns: 1_700_000_000_250_000_000, monotonic_ns: None };
+        About { links: 3, length_m: [1.0; 7], started, group: "g".into(), scenario: "[loop]\n".into() }
     }
 
     fn temporary(what: &str) -> PathBuf {
@@ -335,7 +362,7 @@ mod tests {
 
     #[test]
     fn a_folder_that_can_not_be_made_is_an_error_with_nothing_started() {
-        assert!(Recorder::start(Path::new("/proc/none"), 3, 0, false, 0.1).is_err());
+        assert!(Recorder::start(Path::new("/proc/none"), about(), false, 0.1).is_err());
     }
 
     fn decode_base64(text: &str) -> Vec<u8> {

@@ -109,6 +109,8 @@ pub struct Judged {
     pub v: Option<f64>,
     /// The right side of promise (a) from the tick before.
     pub v_bound: Option<f64>,
+    /// c, the certified level of V; none where nothing is certified.
+    pub level: Option<f64>,
 }
 
 impl<const N: usize> Judge<N> {
@@ -236,7 +238,11 @@ impl<const N: usize> Judge<N> {
             v_bound: certificate.promised(v, h_s),
             checked: diagnosis.is_some() && v <= certificate.level,
         });
-        Judged { v: finite(v), v_bound: before.and_then(|before| finite(before.v_bound)) }
+        Judged {
+            v: finite(v),
+            v_bound: before.and_then(|before| finite(before.v_bound)),
+            level: finite(certificate.level).filter(|_| certificate.is_certified()),
+        }
     }
 
     fn remember(&mut self, record: &TickRecord) {

@@ -11,6 +11,9 @@
 //! | [`summary`], [`verdict`], [`render`] | the keys of `summary.json`, what they come to, one screen of text |
 //! | [`chart`] | pictures, as SVG and PNG |
 //! | [`files`], `traces`, [`plot`] | the files of a run, written by a thread of their own; percentile plots |
+//! | [`recording`] | `samples.mcap`: what viewers open and `replay` reads |
+//! | [`report`] | `report.html`, the page of a run or of two |
+//! | [`tui`] | the live view on a terminal |
 //! | [`run`] | the process: attach, drain, report, leave |
 
 #![forbid(unsafe_code)]
@@ -26,7 +29,9 @@ pub mod judge;
 pub mod late;
 mod members;
 pub mod plot;
+pub mod recording;
 pub mod render;
+pub mod report;
 mod run;
 pub mod summary;
 pub mod swaps;
@@ -34,6 +39,7 @@ pub mod swaps;
 mod testing;
 mod traces;
 pub mod tracker;
+pub mod tui;
 pub mod verdict;
 
 pub use render::render;

@@ -7,6 +7,7 @@ use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 
+use loopbound_shared::chain::LINKS_MAX;
 use loopbound_shared::clock::{now_ns, seconds, sleep_until_ns_or_signal, wall_time, wall_time_ns};
 use loopbound_shared::doorbell::Bell;
 use loopbound_shared::event::{Phase, Role};
@@ -15,13 +16,14 @@ use loopbound_shared::ports::{Publisher, Subscriber};
 use loopbound_shared::realtime::{Privileges, die_with_parent};
 use loopbound_shared::role::{Joined, RoleArgs, RoleError, announce, build_id, join};
 use loopbound_shared::sample::{Announce, TickRecord, record_flag};
-use loopbound_shared::scenario::Mode;
+use loopbound_shared::scenario::{Mode, Scenario};
 use loopbound_shared::topics::Topic;
 use loopbound_shared::with_links;
 
 use crate::files::{Recorder, write_summary};
 use crate::judge::Judge;
 use crate::members::Members;
+use crate::recording::{About, Started};
 use crate::render::render;
 use crate::summary::Summary;
 use crate::tracker::{Config, Tracker};
@@ -163,8 +165,8 @@ impl<'a, const N: usize> Watch<'a, N> {
             None => None,
             Some(folder) => {
                 let lossless = lockstep && args.managed;
-                let recorder =
-                    Recorder::start(folder, N, wall_time_ns(), lossless, seconds(scenario.monitor.trace.ns()));
+                let trace_s = seconds(scenario.monitor.trace.ns());
+                let recorder = Recorder::start(folder, about(args, scenario)?, lossless, trace_s);
                 Some(recorder.map_err(|e| RoleError::Other(format!("{}: {e}", folder.display())))?)
             }
         };
@@ -228,15 +230,17 @@ impl<'a, const N: usize> Watch<'a, N> {
         let mut count = 0;
         while count < BATCH_MAX {
             let (tracker, last_seen) = (&mut self.tracker, &mut self.last_seen);
+            let recorder = &mut self.recorder;
             let taken = self.records.take_with(|record| {
                 *last_seen |= record.flags & record_flag::LAST != 0;
-                tracker.feed(record)
+                if let (Some(row), Some(recorder)) = (tracker.feed(record), recorder) {
+                    recorder.tick(record, row);
+                }
             });
-            let Some(row) = taken else { break };
-            count += 1;
-            if let (Some(recorder), Some(row)) = (&mut self.recorder, row) {
-                recorder.row(row);
+            if taken.is_none() {
+                break;
             }
+            count += 1;
         }
         if count > 0 {
             self.last_record_ns = now_ns();
@@ -266,6 +270,9 @@ impl<'a, const N: usize> Watch<'a, N> {
         while let Some(announce) = self.announces.take() {
             self.members.learn(&announce);
             self.tracker.learn(&announce);
+            if let Some(recorder) = &mut self.recorder {
+                recorder.announce(&announce);
+            }
         }
         let duration_ns = now_ns.saturating_sub(self.interval_from_ns);
         if duration_ns >= INTERVAL_NS {
@@ -373,6 +380,23 @@ impl<'a, const N: usize> Watch<'a, N> {
         }
         Ok(summary)
     }
+}
+
+/// What a recording says of its run.
+fn about(args: &MonitorArgs, scenario: &Scenario) -> Result<About, RoleError> {
+    let virtual_time = scenario.loop_.mode == Mode::Lockstep;
+    let mut length_m = [1.0; LINKS_MAX];
+    // A chain that is given by coefficients has no lengths; links of 1 m show its angles.
+    if let Some(lengths) = &scenario.plant.length {
+        length_m.iter_mut().zip(lengths.to_vec(scenario.links())).for_each(|(place, length)| *place = length);
+    }
+    Ok(About {
+        links: scenario.links(),
+        length_m,
+        started: Started { wall_ns: wall_time_ns(), monotonic_ns: (!virtual_time).then(now_ns) },
+        group: args.group.clone(),
+        scenario: scenario.to_toml()?,
+    })
 }
 
 /// Leaves the summary to the launcher, or prints it.

@@ -73,6 +73,8 @@ pub struct Row {
     pub lyapunov: Option<f64>,
     /// The right side of promise (a) from the tick before.
     pub lyapunov_bound: Option<f64>,
+    /// c, the certified level of V.
+    pub lyapunov_level: Option<f64>,
     /// Round trip, ns; none on a missed tick.
     pub round_trip_ns: Option<u64>,
     /// The controller in charge.
@@ -413,6 +415,7 @@ fn row(record: &TickRecord, receipt: Option<&Receipt>, judged: Judged) -> Row {
         tau: segments(record).last().map_or([0.0; 7], |segment| segment.tau),
         lyapunov: judged.v,
         lyapunov_bound: judged.v_bound,
+        lyapunov_level: judged.level,
         round_trip_ns: receipt.and_then(|receipt| receipt.arrived_ns.checked_sub(record.published_ns)),
         active: record.active,
     }

@@ -21,11 +21,35 @@ const DAMPING_SHARE: f64 = 0.125;
 /// … and at most this, N·m·s.
 const DAMPING_MAX: f64 = 20.0;
 
+/// The plant's own brake: damping with gravity compensation, by the nominal model.
+#[derive(Clone, Debug)]
+pub struct Brake<const N: usize> {
+    model: Chain<N>,
+    damping: f64,
+}
+
+impl<const N: usize> Brake<N> {
+    /// The brake of a scenario.
+    ///
+    /// # Errors
+    /// If the scenario describes no system.
+    pub fn new(scenario: &Scenario) -> Result<Self, ScenarioError> {
+        let lambda_lo = system::certificate_of::<N>(scenario, LawKind::Robust)?.lambda_lo;
+        let damping = (DAMPING_SHARE * 2.0 * lambda_lo / seconds(scenario.period_ns())).min(DAMPING_MAX);
+        Ok(Self { model: scenario.build_model()?, damping })
+    }
+
+    /// τ (N·m) at the measured q (rad) and q̇ (rad/s), before limits.
+    #[must_use]
+    pub fn torque(&self, q: &Vector<N>, v: &Vector<N>) -> Vector<N> {
+        self.model.gravity(q) - v * self.damping
+    }
+}
+
 /// The fallback ladder.
 pub(crate) struct Fallback<const N: usize> {
     certificate: Certificate,
-    model: Chain<N>,
-    damping: f64,
+    brake: Brake<N>,
     period_ns: u64,
     /// Ticks in a row that nobody answered.
     ticks: u64,
@@ -39,11 +63,9 @@ impl<const N: usize> Fallback<N> {
     pub(crate) fn new(scenario: &Scenario) -> Result<Self, ScenarioError> {
         let certificate = system::certificate_of::<N>(scenario, LawKind::Robust)?;
         let period_ns = scenario.period_ns();
-        let damping = (DAMPING_SHARE * 2.0 * certificate.lambda_lo / seconds(period_ns)).min(DAMPING_MAX);
         Ok(Self {
             certificate,
-            model: scenario.build_model()?,
-            damping,
+            brake: Brake::new(scenario)?,
             period_ns,
             ticks: 0,
             hold_until_plant_ns: 0,
@@ -85,7 +107,7 @@ impl<const N: usize> Fallback<N> {
         let rung = if v.amax() < STOPPED_RAD_S { Decision::Stopped } else { Decision::Damped };
         self.changed |= rung != self.rung;
         self.rung = rung;
-        Some(self.model.gravity(q) - v * self.damping)
+        Some(self.brake.torque(q, v))
     }
 
     /// The rung and the ticks gone unanswered, once after each change.

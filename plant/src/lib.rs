@@ -23,6 +23,7 @@ use loopbound_shared::scenario::{Mode, Scenario};
 use loopbound_shared::with_links;
 
 pub use crate::core::{Opening, PlantCore};
+pub use crate::fallback::Brake;
 use crate::ports::Ports;
 
 /// Runs the plant until its last tick, or until `stop` is set.

@@ -16,6 +16,21 @@ pub unsafe trait Layout: Copy + 'static {
     const HASH: u64;
 }
 
+/// The bytes of a sample, as a recording keeps them.
+#[must_use]
+pub fn bytes_of<T: Layout>(value: &T) -> &[u8] {
+    // SAFETY: plain data without padding: all its bytes are initialised, and they live as long as the value.
+    unsafe { core::slice::from_raw_parts(core::ptr::from_ref(value).cast(), size_of::<T>()) }
+}
+
+/// The sample of such bytes; none if their number is another one. Whether they are of this layout is for the caller to
+/// know, by [`Layout::HASH`].
+#[must_use]
+pub fn from_bytes<T: Layout>(bytes: &[u8]) -> Option<T> {
+    // SAFETY: as many bytes as the type has (checked here), of which any pattern is a value; read without alignment.
+    (bytes.len() == size_of::<T>()).then(|| unsafe { bytes.as_ptr().cast::<T>().read_unaligned() })
+}
+
 /// FNV-1a over `text`, continued from `hash`.
 #[must_use]
 pub const fn fnv1a(mut hash: u64, text: &[u8]) -> u64 {
@@ -172,6 +187,16 @@ mod tests {
     #[expect(unreachable_pub, dead_code, reason = "the macro makes public types")]
     mod b {
         wire! { pub struct Pair { pub y: f64, pub x: f64, } }
+    }
+
+    #[test]
+    fn a_sample_is_what_its_bytes_say_and_other_numbers_of_bytes_are_none() {
+        let mut record = crate::sample::TickRecord::zeroed();
+        (record.tick, record.q[3]) = (7, -0.0);
+        let bytes = super::bytes_of(&record).to_vec();
+        let back: crate::sample::TickRecord = super::from_bytes(&bytes).unwrap();
+        assert_eq!((back.tick, back.q[3].to_bits()), (7, (-0.0f64).to_bits()));
+        assert!(super::from_bytes::<crate::sample::TickRecord>(&bytes[1..]).is_none());
     }
 
     #[test]

@@ -11,6 +11,7 @@ mod attached;
 mod deaths;
 mod lockstep;
 mod realtime;
+mod recording;
 mod strangers;
 mod usage;
 mod verdicts;

@@ -24,7 +24,7 @@ fn where_nothing_is_certified_nothing_is_held() {
     assert_eq!(ladder.decision(), Decision::Held, "the tick itself could not know");
     let tau = ladder.brake(11 * PERIOD_NS, &q, &v).unwrap();
     assert_eq!((ladder.decision(), ladder.take_change()), (Decision::Damped, Some((Decision::Damped, 1))));
-    assert!(v.dot(&(tau - ladder.model.gravity(&q))) < 0.0, "beyond gravity it takes energy out");
+    assert!(v.dot(&(tau - ladder.brake.model.gravity(&q))) < 0.0, "beyond gravity it takes energy out");
 }
 
 #[test]

@@ -1,0 +1,115 @@
+use super::reader::{Item, ReadError, Recording};
+use super::*;
+use crate::testing::good;
+use crate::tracker::Tracker;
+
+const TICKS_RECORDED: u64 = 2500;
+
+fn about() -> About {
+    let started = Started { wall_ns: 1_700_000_000_000_000_000, monotonic_ns: None };
+    About { links: 3, length_m: [1.0; LINKS_MAX], started, group: "g".into(), scenario: "[loop]\n".into() }
+}
+
+/// 2500 ticks, each with its own q.
+fn write(path: &Path) {
+    let mut tracker: Tracker<3> = crate::testing::tracker();
+    let mut writer = McapWriter::create(path, about()).unwrap();
+    writer.announce(&Announce { id: 9, ..Announce::zeroed() }).unwrap();
+    for tick in 0..TICKS_RECORDED {
+        let mut record = good(tick);
+        record.q[1] = f64::from_bits(0x3ff0_0000_0000_0001 + tick);
+        let row = tracker.feed(&record).unwrap();
+        writer.tick(&record, &row).unwrap();
+        tracker.drain_events().for_each(|event| writer.event(&event).unwrap());
+    }
+    writer.finish().unwrap();
+}
+
+fn read(path: &Path) -> (Vec<TickRecord>, usize, bool) {
+    let mut recording = Recording::open(path).unwrap();
+    let (mut records, mut announces) = (Vec::new(), 0);
+    while let Some(item) = recording.next_item().unwrap() {
+        match item {
+            Item::Record(record) => records.push(*record),
+            Item::Announce(announce) => announces += usize::from(announce.id == 9),
+            Item::Figures(figures) => assert!(figures.v.is_nan() && figures.tick + 1 == records.len() as u64),
+        }
+    }
+    (records, announces, recording.is_cut_off())
+}
+
+fn temporary(what: &str) -> std::path::PathBuf {
+    std::env::temp_dir().join(format!("loopbound-{what}-{}.mcap", std::process::id()))
+}
+
+#[test]
+fn what_was_recorded_reads_back_bit_for_bit_and_in_order() {
+    let path = temporary("whole");
+    write(&path);
+    let (records, announces, cut_off) = read(&path);
+    assert_eq!((records.len() as u64, announces, cut_off), (TICKS_RECORDED, 1, false));
+    for (tick, record) in (0..).zip(&records) {
+        let mut wanted = good(tick);
+        wanted.q[1] = f64::from_bits(0x3ff0_0000_0000_0001 + tick);
+        assert!(bytes_of(record) == bytes_of(&wanted), "tick {tick}");
+    }
+    std::fs::remove_file(path).unwrap();
+}
+
+#[test]
+fn a_recording_cut_off_anywhere_reads_to_its_last_whole_chunk() {
+    let path = temporary("cut");
+    write(&path);
+    let bytes = std::fs::read(&path).unwrap();
+    let mut most = 0;
+    for percent in [30, 55, 80] {
+        std::fs::write(&path, &bytes[..bytes.len() * percent / 100]).unwrap();
+        let (records, _, cut_off) = read(&path);
+        assert!(cut_off && records.len() >= most, "{percent} %: {} records", records.len());
+        assert!(records.iter().enumerate().all(|(at, record)| record.tick == at as u64));
+        most = records.len();
+    }
+    assert!((1..2500).contains(&most), "{most}");
+    std::fs::remove_file(path).unwrap();
+}
+
+#[test]
+fn another_layout_or_build_is_refused_by_name_and_damage_is_an_error() {
+    let path = temporary("other");
+    write(&path);
+    let bytes = std::fs::read(&path).unwrap();
+    let own = format!("{:016x}", TickRecord::HASH);
+    let at = bytes.windows(own.len()).position(|window| window == own.as_bytes()).unwrap();
+    let mut other = bytes.clone();
+    other[at] = if other[at] == b'0' { b'1' } else { b'0' };
+    std::fs::write(&path, &other).unwrap();
+    let refused = Recording::open(&path).err().unwrap().to_string();
+    assert!(refused.contains("layout of TickRecord") && refused.contains(&own), "{refused}");
+    let mut damaged = bytes.clone();
+    damaged[bytes.len() / 3] ^= 0xff;
+    std::fs::write(&path, &damaged).unwrap();
+    let mut recording = Recording::open(&path).unwrap();
+    let failed = loop {
+        match recording.next_item() {
+            Ok(Some(_)) => {}
+            Ok(None) => break None,
+            Err(error) => break Some(error),
+        }
+    };
+    assert!(matches!(failed, Some(ReadError::Malformed(_))), "{failed:?}");
+    std::fs::write(&path, b"no recording at all").unwrap();
+    assert!(Recording::open(&path).is_err());
+    std::fs::remove_file(path).unwrap();
+}
+
+#[test]
+fn the_viewers_clock_shows_when_a_tick_was_in_real_time() {
+    let mut about = about();
+    about.started.monotonic_ns = Some(1_000_000);
+    // Sampled 3 ms after the start of the recording, 2 ms into the run: t = 0 was 1 ms after the start.
+    let mut record = good(2);
+    (record.sampled_ns, record.start_plant_ns) = (4_000_000, 2_000_000);
+    assert_eq!(about.started.wall_zero_ns(&record), about.started.wall_ns + 1_000_000);
+    about.started.monotonic_ns = None;
+    assert_eq!(about.started.wall_zero_ns(&record), about.started.wall_ns);
+}

@@ -1,0 +1,177 @@
+//! `report.html`: a run, or two side by side, as one page that needs no network and no server.
+//!
+//! Responsible for what the page is told; how it looks is in `report/page.{html,css,js}`. The figures come from the
+//! files of the run alone, so that a page can be written again at any time.
+
+mod decimate;
+
+use std::fs;
+use std::io::{self, BufRead as _, BufReader};
+use std::path::Path;
+
+use loopbound_shared::sample::{Links, TickRecord};
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use crate::hops::Hop;
+use crate::recording::proto::Figures;
+use crate::recording::reader::{Item, ReadError, Recording};
+use crate::tracker::{accepted, segments};
+use decimate::Decimated;
+
+/// Events that a page shows; all of them are in `events.jsonl`.
+const EVENTS_MAX: usize = 4000;
+
+/// What a page is told of one run.
+#[derive(Debug, Serialize)]
+pub struct Run {
+    /// Name of the run: its folder's.
+    pub name: String,
+    /// `summary.json`.
+    pub summary: Value,
+    /// Lines of `events.jsonl`.
+    pub events: Vec<Value>,
+    /// Lines beyond what a page shows.
+    pub events_left_out: u64,
+    /// Over time: q, q_d, e (rad) and τ (N·m) of each link, then V, the promised V, its certified level, round trip (µs).
+    series: Decimated,
+    /// Whether the recording was cut off, or why there is none.
+    pub recording: String,
+    /// For each hop: the value (µs) at each 1/(1 − percentile).
+    pub percentiles: Vec<(&'static str, Vec<[f64; 2]>)>,
+}
+
+/// Reads what a page needs from the folder of a run.
+///
+/// # Errors
+/// If there is no `summary.json`, or a file can't be read.
+pub fn read_run(folder: &Path) -> io::Result<Run> {
+    let named = |name: &str, e: io::Error| io::Error::new(e.kind(), format!("{}: {e}", folder.join(name).display()));
+    let text = fs::read(folder.join("summary.json")).map_err(|e| named("summary.json", e))?;
+    let summary: Value = serde_json::from_slice(&text).map_err(|e| named("summary.json", e.into()))?;
+    let links = summary["links"].as_u64().and_then(|n| usize::try_from(n).ok()).unwrap_or(0).min(7);
+    let (events, events_left_out) = read_events(&folder.join("events.jsonl"))?;
+    let mut series = Decimated::new(4 * links + 4);
+    let recording = match read_series(&folder.join("samples.mcap"), links, &mut series) {
+        Ok(false) => "whole".to_owned(),
+        Ok(true) => "cut off".to_owned(),
+        Err(error) => error.to_string(),
+    };
+    let percentiles = Hop::ALL.map(|hop| (hop.name(), read_percentiles(&folder.join("latency"), hop)));
+    let name = folder.canonicalize().ok().and_then(|path| Some(path.file_name()?.to_string_lossy().into_owned()));
+    Ok(Run {
+        name: name.unwrap_or_else(|| folder.display().to_string()),
+        summary,
+        events,
+        events_left_out,
+        series,
+        recording,
+        percentiles: percentiles.into(),
+    })
+}
+
+fn read_events(path: &Path) -> io::Result<(Vec<Value>, u64)> {
+    let (mut events, mut left_out) = (Vec::new(), 0);
+    let Ok(file) = fs::File::open(path) else { return Ok((events, 0)) };
+    for line in BufReader::new(file).lines() {
+        // A line that a crash has cut off is no event.
+        let Ok(event) = serde_json::from_str(&line?) else { continue };
+        if events.len() < EVENTS_MAX {
+            events.push(event);
+        } else {
+            left_out += 1;
+        }
+    }
+    Ok((events, left_out))
+}
+
+/// Reads the recording; whether it was cut off.
+fn read_series(path: &Path, links: usize, series: &mut Decimated) -> Result<bool, ReadError> {
+    let mut recording = Recording::open(path)?;
+    let mut record: Option<Box<TickRecord>> = None;
+    while let Some(item) = recording.next_item()? {
+        match item {
+            Item::Announce(_) => {}
+            Item::Record(next) => record = Some(next),
+            Item::Figures(figures) => {
+                if let Some(record) = record.take().filter(|record| record.tick == figures.tick) {
+                    push(series, links, &record, &figures);
+                }
+            }
+        }
+    }
+    Ok(recording.is_cut_off())
+}
+
+fn push(series: &mut Decimated, links: usize, record: &TickRecord, figures: &Figures) {
+    let tau = segments(record).last().map_or([0.0; 7], |segment| segment.tau);
+    let error: Links = std::array::from_fn(|i| record.q_d[i] - record.q[i]);
+    let vectors = [&record.q, &record.q_d, &error, &tau];
+    let vectors = vectors.into_iter().flat_map(|values| values.iter().take(links).map(|value| Some(*value)));
+    let receipt = accepted(record);
+    let trip_ns = Hop::RoundTrip.stamps(record, receipt).and_then(|(from_ns, to_ns)| to_ns.checked_sub(from_ns));
+    let scalars = [Some(figures.v), Some(figures.promised), Some(figures.level), trip_ns.map(|ns| ns as f64 * 1e-3)];
+    series.push(record.start_plant_ns as f64 * 1e-9, vectors.chain(scalars));
+}
+
+/// The steps of a percentile file, but for the last, whose 1/(1 − p) is infinite.
+fn read_percentiles(folder: &Path, hop: Hop) -> Vec<[f64; 2]> {
+    let text = fs::read_to_string(folder.join(format!("{}.hgrm", hop.name()))).unwrap_or_default();
+    let step = |line: &str| {
+        let cells: Vec<f64> = line.split_whitespace().map_while(|cell| cell.parse().ok()).collect();
+        (cells.len() == 4).then(|| [cells[3], cells[0]])
+    };
+    text.lines().filter(|line| !line.starts_with('#')).filter_map(step).collect()
+}
+
+/// The page of one run or of several side by side.
+#[must_use]
+pub fn page(runs: &[Run]) -> String {
+    let title = runs.iter().map(|run| run.name.as_str()).collect::<Vec<_>>().join(" | ");
+    // Nothing in the data can end the script element that holds it.
+    let data = json!({ "runs": runs }).to_string().replace('<', "\\u003c");
+    include_str!("report/page.html")
+        .replace("{{title}}", &escape(&title))
+        .replace("{{style}}", include_str!("report/page.css"))
+        .replace("{{script}}", include_str!("report/page.js"))
+        .replace("{{data}}", &data)
+}
+
+fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(name: &str) -> Run {
+        Run {
+            name: name.into(),
+            summary: json!({"verdict": {"status": "held", "reasons": ["</script><b>"]}}),
+            events: Vec::new(),
+            events_left_out: 0,
+            series: Decimated::new(4),
+            recording: "whole".into(),
+            percentiles: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn nothing_in_the_data_ends_the_page_s_script_and_nothing_is_fetched() {
+        let page = page(&[run("a<b"), run("b")]);
+        assert_eq!(page.matches("</script>").count(), 2, "the data's and the code's own");
+        assert!(page.contains("<title>a&lt;b | b"));
+        assert!(!page.contains("{{"), "every place is filled");
+        for fetched in ["src=", "http:", "https:", "@import", "url("] {
+            let found = page.find(fetched);
+            assert!(found.is_none(), "{fetched} at {found:?}");
+        }
+    }
+
+    #[test]
+    fn a_folder_without_a_summary_is_an_error_that_names_it() {
+        let error = read_run(Path::new("/nowhere")).unwrap_err();
+        assert!(error.to_string().contains("/nowhere/summary.json"), "{error}");
+    }
+}

@@ -1,0 +1,185 @@
+//! The live view: a monitor that draws instead of writing.
+//!
+//! Responsible for the terminal and the keys. What is shown is [`model`]'s, how it looks [`view`]'s. It watches as any
+//! monitor does: at the ordinary priority, never a listener, so that the loop does not feel it.
+
+pub mod model;
+pub mod view;
+
+use std::io::{self, BufRead as _, BufReader, Write as _};
+use std::os::unix::net::UnixStream;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::Duration;
+
+use loopbound_shared::clock::{now_ns, sleep_ns};
+use loopbound_shared::group::runtime_folder;
+use loopbound_shared::law::LawKind;
+use loopbound_shared::role::{Joined, RoleArgs, RoleError, join};
+use loopbound_shared::sample::{Announce, TickRecord, record_flag};
+use loopbound_shared::topics::Topic;
+use loopbound_shared::with_links;
+use ratatui::DefaultTerminal;
+use ratatui::crossterm::event::{self, Event as Input, KeyCode, KeyEventKind, KeyModifiers};
+use serde_json::{Value, json};
+
+use crate::run::MonitorArgs;
+use model::Model;
+
+/// Between two pictures.
+const PICTURE: Duration = Duration::from_millis(50);
+/// Between two points of a sparkline.
+const INTERVAL_NS: u64 = 500_000_000;
+/// How long a group that is just being started is waited for.
+const START_NS: u64 = 10_000_000_000;
+/// Silence after which the group is gone.
+const SILENCE_NS: u64 = 5_000_000_000;
+/// A swap takes its gate and the watch after it.
+const ANSWER_WITHIN: Duration = Duration::from_secs(30);
+
+/// How the view was left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Left {
+    /// The group ended.
+    Ended,
+    /// By `q`: whatever runs goes on.
+    Quit,
+    /// By Ctrl-C: whoever started the group should end it.
+    Interrupted,
+}
+
+/// Watches a group on the terminal until it ends or the view is left.
+///
+/// # Errors
+/// If the group is not running or of another build, or there is no terminal.
+pub fn run(args: &MonitorArgs, stop: &AtomicBool) -> Result<Left, RoleError> {
+    let joined = join_soon(args, stop)?;
+    let links = joined.scenario.links();
+    with_links!(links, watch::<N>(args, &joined, stop))
+}
+
+/// A group that this view was started with may still be on its way.
+fn join_soon(args: &MonitorArgs, stop: &AtomicBool) -> Result<Joined, RoleError> {
+    let scenario = args.scenario.clone().unwrap_or_else(|| runtime_folder().join(&args.group).join("scenario.toml"));
+    let role = RoleArgs { group: args.group.clone(), id: args.id, scenario, parent: args.parent };
+    let give_up_ns = now_ns() + if args.parent.is_some() { START_NS } else { 0 };
+    loop {
+        match join(&role) {
+            Err(_) if now_ns() < give_up_ns && !stop.load(SeqCst) => sleep_ns(20_000_000),
+            done => return done,
+        }
+    }
+}
+
+fn watch<const N: usize>(args: &MonitorArgs, joined: &Joined, stop: &AtomicBool) -> Result<Left, RoleError> {
+    let records = joined.node.subscriber::<TickRecord>(TickRecord::DEPTH)?;
+    let announces = joined.node.subscriber::<Announce>(Announce::DEPTH)?;
+    let mut model = Model::<N>::new(&args.group, &joined.scenario)?;
+    let mut terminal =
+        ratatui::try_init().map_err(|error| RoleError::Other(format!("the view needs a terminal: {error}")))?;
+    let mut answers: Option<Receiver<String>> = None;
+    let (mut interval_ns, mut heard_ns, mut last) = (now_ns(), now_ns(), false);
+    let left = loop {
+        while let Some(announce) = announces.take() {
+            model.learn(&announce);
+        }
+        while let Some(flags) = records.take_with(|record| {
+            model.feed(record);
+            record.flags
+        }) {
+            last |= flags & record_flag::LAST != 0;
+            heard_ns = now_ns();
+        }
+        if now_ns() >= interval_ns + INTERVAL_NS {
+            interval_ns = now_ns();
+            model.close_interval();
+        }
+        if let Some(answer) = answers.as_ref().and_then(|answers| answers.try_recv().ok()) {
+            model.answer = answer;
+        }
+        if let Err(error) = terminal.draw(|frame| view::draw(frame, &model)) {
+            break Err(error);
+        }
+        let ended = last || stop.load(SeqCst) || now_ns() > heard_ns + SILENCE_NS + START_NS;
+        if ended {
+            break Ok(Left::Ended);
+        }
+        match keys(&mut terminal, &mut model) {
+            Ok(Key::None) => {}
+            Ok(Key::Swap) => answers = Some(swap(&args.group, &mut model)),
+            Ok(Key::Leave(left)) => break Ok(left),
+            Err(error) => break Err(error),
+        }
+    };
+    ratatui::restore();
+    left.map_err(|error| RoleError::Other(format!("the terminal: {error}")))
+}
+
+enum Key {
+    None,
+    Swap,
+    Leave(Left),
+}
+
+/// Waits for a key until the next picture is due.
+fn keys<const N: usize>(terminal: &mut DefaultTerminal, model: &mut Model<N>) -> io::Result<Key> {
+    if !event::poll(PICTURE)? {
+        return Ok(Key::None);
+    }
+    match event::read()? {
+        Input::Key(key) if key.kind == KeyEventKind::Press => Ok(match key.code {
+            KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => Key::Leave(Left::Interrupted),
+            KeyCode::Char('q') | KeyCode::Esc => Key::Leave(Left::Quit),
+            KeyCode::Char(' ') => {
+                model.paused = !model.paused;
+                Key::None
+            }
+            KeyCode::Char('s') => Key::Swap,
+            _ => Key::None,
+        }),
+        Input::Resize(..) => terminal.autoresize().map(|()| Key::None),
+        _ => Ok(Key::None),
+    }
+}
+
+/// Asks the supervisor for another controller: a standby if there is one, else a new one with the next law. The answer
+/// comes when the swap is over, and the view goes on meanwhile.
+fn swap<const N: usize>(group: &str, model: &mut Model<N>) -> Receiver<String> {
+    let (active, _) = model.in_charge();
+    let at = LawKind::ALL.iter().position(|law| law.name() == model.name(active)).unwrap_or(0);
+    let next = LawKind::ALL[(at + 1) % LawKind::ALL.len()].name();
+    let (wanted, request) = match model.standbys().first() {
+        Some(id) => (format!("controller {id}"), json!({"to": id, "force": false})),
+        None => (next.to_owned(), json!({"law": next, "force": false})),
+    };
+    model.answer = format!("swap to {wanted} …");
+    let (sender, answers) = channel();
+    let path = runtime_folder().join(group).join("control");
+    let ask = move || {
+        let answer = ask(&path, &request).unwrap_or_else(|error| format!("no swap: {error}"));
+        // The view may be gone by now.
+        let _ = sender.send(answer);
+    };
+    if let Err(error) = std::thread::Builder::new().name("swap".to_owned()).spawn(ask) {
+        model.answer = format!("no swap: {error}");
+    }
+    answers
+}
+
+/// One line of JSON to the supervisor, one back.
+fn ask(path: &Path, request: &Value) -> io::Result<String> {
+    let mut stream = UnixStream::connect(path)?;
+    stream.set_read_timeout(Some(ANSWER_WITHIN))?;
+    writeln!(stream, "{request}")?;
+    let mut line = String::new();
+    BufReader::new(stream).read_line(&mut line)?;
+    let answer: Value = serde_json::from_str(&line)?;
+    let report = &answer["report"];
+    let text = |value: &Value| value.as_str().map(str::to_owned);
+    let result = text(&report["result"]).or_else(|| text(&answer["usage"])).unwrap_or_else(|| line.trim().to_owned());
+    Ok(match text(&report["reason"]) {
+        Some(reason) => format!("swap {result}: {reason}"),
+        None => format!("swap {result}"),
+    })
+}

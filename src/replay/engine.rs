@@ -1,0 +1,246 @@
+//! One recorded tick, computed again: the same integrator, plant, laws and limits, fed with the recorded decisions.
+//!
+//! What is taken from the recording: when each torque began to act, whose it was and which sample it answers, the
+//! setpoint that its controller used, what was injected. What is computed again: the true and the measured state, every
+//! torque of a built-in law, the blends, the plant's own brake. A torque of a foreign controller is taken as recorded.
+
+use std::collections::VecDeque;
+
+use loopbound_controller::{Builtin, ControllerCore};
+use loopbound_plant::Brake;
+use loopbound_shared::cast;
+use loopbound_shared::chain::Vector;
+use loopbound_shared::event::{CommandKind, Decision, HappeningKind, Role};
+use loopbound_shared::fault::FaultPlan;
+use loopbound_shared::integrator::{PlantState, integrate};
+use loopbound_shared::law::{Law, LawInput, LawKind};
+use loopbound_shared::realtime::Privileges;
+use loopbound_shared::sample::{Announce, SEGMENTS_MAX, Segment, TickRecord, record_flag, to_links, to_vector};
+use loopbound_shared::scenario::{self, Scenario, ScenarioError};
+use loopbound_shared::system;
+use loopbound_shared::truth::Truth;
+
+/// Ticks that a torque may be under way.
+const HISTORY: usize = 4096;
+
+/// A controller whose torques can be computed again.
+struct Known<const N: usize> {
+    id: u32,
+    law: Law<N>,
+    faults: FaultPlan,
+    announcement: Announce,
+}
+
+/// What a torque of a tick is computed from.
+#[derive(Clone, Copy)]
+struct Answered<const N: usize> {
+    tick: u64,
+    input: LawInput<N>,
+    active: u32,
+    blends: bool,
+}
+
+/// A cross-fade that the scenario has scheduled.
+#[derive(Clone, Copy)]
+struct Fade {
+    from: u32,
+    tick: u64,
+    ticks: u64,
+}
+
+/// The plant and its controllers, driven by records.
+pub struct Engine<const N: usize> {
+    scenario: Scenario,
+    truth: Truth<N>,
+    brake: Brake<N>,
+    controllers: Vec<Known<N>>,
+    state: PlantState<N>,
+    acting: Option<(Segment, Vector<N>)>,
+    answered: VecDeque<Answered<N>>,
+    fade: Option<Fade>,
+    /// Segments whose torque was taken as recorded.
+    pub as_recorded: u64,
+    /// Segments whose torque was computed again.
+    pub recomputed: u64,
+}
+
+impl<const N: usize> Engine<N> {
+    /// The plant of a scenario, where `first` finds it: at the start of the scenario when that is tick 0.
+    ///
+    /// # Errors
+    /// If the scenario describes no system.
+    pub fn new(scenario: &Scenario, first: &TickRecord) -> Result<Self, ScenarioError> {
+        let mut state = scenario.build_start::<N>()?;
+        if first.tick > 0 {
+            state = PlantState { q: to_vector(&first.q), v: to_vector(&first.v) };
+        }
+        let mut controllers = Vec::new();
+        for part in cast::controllers(scenario).into_iter().filter(|part| part.exe.is_none()) {
+            controllers.push(Known::new(scenario, part.id, part.law)?);
+        }
+        Ok(Self {
+            truth: scenario.build_truth()?,
+            brake: Brake::new(scenario)?,
+            controllers,
+            state,
+            acting: None,
+            answered: VecDeque::with_capacity(HISTORY),
+            fade: None,
+            scenario: scenario.clone(),
+            as_recorded: 0,
+            recomputed: 0,
+        })
+    }
+
+    /// Learns of a controller that the scenario does not name: one that was brought in by hand. Its law is known if it
+    /// says one and has the scenario's gains.
+    ///
+    /// # Errors
+    /// If the scenario describes no system.
+    pub fn learn(&mut self, announce: &Announce) -> Result<(), ScenarioError> {
+        let known = self.controllers.iter().any(|known| known.id == announce.id);
+        let named = cast::controllers(&self.scenario).iter().any(|part| part.id == announce.id);
+        if announce.role != Role::Controller.code() || known || named {
+            return Ok(());
+        }
+        let kind = usize::try_from(announce.law).ok().and_then(|code| LawKind::ALL.get(code.checked_sub(1)?));
+        let Some(kind) = kind else { return Ok(()) };
+        let found = Known::new(&self.scenario, announce.id, *kind)?;
+        let gains = |of: &Announce| [of.beta, of.k_t, of.k_p, of.k_d].map(f64::to_bits);
+        if gains(&found.announcement) == gains(announce) {
+            self.controllers.push(found);
+        }
+        Ok(())
+    }
+
+    /// What the controllers of this scenario say of themselves.
+    pub fn announcements(&self) -> impl Iterator<Item = &Announce> {
+        self.controllers.iter().map(|known| &known.announcement)
+    }
+
+    /// The record of the tick as this code finds it: state, torques and disturbance computed, the rest as recorded.
+    pub fn tick(&mut self, recorded: &TickRecord) -> TickRecord {
+        let (q, v) = self.truth.measure(&self.state.q, &self.state.v, recorded.tick);
+        let mut record = TickRecord {
+            q: to_links(&self.state.q),
+            v: to_links(&self.state.v),
+            q_measured: to_links(&q),
+            v_measured: to_links(&v),
+            disturbance: to_links(&self.truth.disturbance(loopbound_shared::clock::seconds(recorded.start_plant_ns))),
+            ..*recorded
+        };
+        self.note_fade(recorded);
+        if self.answered.len() == HISTORY {
+            self.answered.pop_front();
+        }
+        self.answered.push_back(Answered {
+            tick: recorded.tick,
+            input: LawInput {
+                q,
+                v,
+                q_d: to_vector(&recorded.used_q_d),
+                v_d: to_vector(&recorded.used_v_d),
+                a_d: to_vector(&recorded.used_a_d),
+            },
+            active: recorded.active,
+            blends: recorded.decision == Decision::Blend.code(),
+        });
+        let used = (recorded.segments_used as usize).min(SEGMENTS_MAX);
+        let mut plant_ns = recorded.start_plant_ns;
+        for at in 0..used {
+            let segment = recorded.segments[at];
+            let tau = self.torque(&segment);
+            record.segments[at].tau = to_links(&tau);
+            let to_ns = if at + 1 < used { recorded.segments[at + 1].from_plant_ns } else { recorded.end_plant_ns };
+            let rests = at == 0 && recorded.flags & record_flag::AT_REST != 0 && segment.writer == 0;
+            if !rests && to_ns > plant_ns {
+                let step_max_ns = self.scenario.loop_.max_step.ns();
+                self.state = integrate(&self.truth, &self.state, &tau, plant_ns, to_ns, step_max_ns);
+            }
+            plant_ns = plant_ns.max(to_ns);
+        }
+        record
+    }
+
+    /// τ of a segment. One that acted before goes on as it was; a new one is computed from what it answers.
+    fn torque(&mut self, segment: &Segment) -> Vector<N> {
+        let same = |of: &Segment| {
+            (of.from_plant_ns, of.answered_tick, of.writer, of.epoch)
+                == (segment.from_plant_ns, segment.answered_tick, segment.writer, segment.epoch)
+        };
+        if let Some((_, tau)) = self.acting.filter(|(acting, _)| same(acting)) {
+            return tau;
+        }
+        let found = if *segment == Segment::zeroed() { Some(Vector::zeros()) } else { self.compute(segment) };
+        let tau = found.map_or_else(
+            || {
+                self.as_recorded += 1;
+                to_vector(&segment.tau)
+            },
+            |tau| {
+                self.recomputed += 1;
+                self.truth.saturate(&tau).0
+            },
+        );
+        self.acting = Some((*segment, tau));
+        tau
+    }
+
+    fn compute(&self, segment: &Segment) -> Option<Vector<N>> {
+        let answered = self.answered.iter().rev().find(|answered| answered.tick == segment.answered_tick)?;
+        if segment.writer == 0 {
+            return Some(self.brake.torque(&answered.input.q, &answered.input.v));
+        }
+        let new = self.law_torque(segment.writer, answered)?;
+        if !answered.blends || answered.active != segment.writer {
+            return Some(new);
+        }
+        let fade = self.fade?;
+        let old = self.law_torque(fade.from, answered)?;
+        #[expect(clippy::cast_precision_loss, reason = "a few thousand ticks at most")]
+        let weight = (answered.tick.checked_sub(fade.tick)? + 1) as f64 / (fade.ticks + 1) as f64;
+        // Term by term as in the plant, so that not one bit differs.
+        Some(Vector::from_fn(|i, _| weight * new[i] + (1.0 - weight) * old[i]))
+    }
+
+    fn law_torque(&self, id: u32, answered: &Answered<N>) -> Option<Vector<N>> {
+        let known = self.controllers.iter().find(|known| known.id == id)?;
+        let mut tau = known.law.torque(&answered.input);
+        if let Some((link, value_nm)) = known.faults.at_tick(answered.tick).glitch {
+            tau[link.min(N - 1)] += value_nm;
+        }
+        Some(tau)
+    }
+
+    /// A cross-fade is known where the scenario has scheduled the swap.
+    fn note_fade(&mut self, record: &TickRecord) {
+        let used = (record.happenings_used as usize).min(record.happenings.len());
+        for happening in &record.happenings[..used] {
+            if happening.kind != HappeningKind::Swap.code() {
+                continue;
+            }
+            // It is noted in the tick that it begins with.
+            let commands = cast::opening_commands(&self.scenario, 0);
+            let scheduled = commands.iter().find(|command| {
+                command.kind == CommandKind::Swap.code()
+                    && (command.controller, command.tick) == (happening.subject, record.tick)
+            });
+            self.fade = scheduled.and_then(|command| {
+                let ticks = command.ns.div_ceil(self.scenario.period_ns());
+                Some(Fade { from: u32::try_from(happening.detail).ok()?, tick: record.tick, ticks })
+            });
+        }
+    }
+}
+
+impl<const N: usize> Known<N> {
+    fn new(scenario: &Scenario, id: u32, kind: LawKind) -> Result<Self, ScenarioError> {
+        let core = ControllerCore::new(scenario, id, Builtin::<N>::new(scenario, kind)?);
+        Ok(Self {
+            id,
+            law: system::law(scenario, kind)?,
+            faults: FaultPlan::for_target(scenario, scenario::Role::Controller, id),
+            announcement: core.announcement(Privileges::default()),
+        })
+    }
+}
