@@ -9,7 +9,7 @@ use loopbound_shared::event::Role;
 use loopbound_shared::sample::{Announce, TickRecord};
 use loopbound_shared::scenario::{Mode, Scenario, ScenarioError};
 
-use crate::event::Event;
+use crate::event::{Event, EventKind};
 use crate::hops::Hop;
 use crate::judge::Judge;
 use crate::summary::Quantiles;
@@ -95,8 +95,13 @@ impl<const N: usize> Model<N> {
     pub fn feed(&mut self, record: &TickRecord) {
         let Some(row) = self.tracker.feed(record) else { return };
         for event in self.tracker.drain_events() {
-            if self.events.len() == EVENTS {
-                self.events.pop_front();
+            // What happens tick after tick must not push everything else off the screen: the newest stands for all.
+            let repeats =
+                matches!(event.kind, EventKind::Rejected { .. } | EventKind::Bound { .. } | EventKind::Promise { .. });
+            let same = self.events.back().is_some_and(|last| last.kind.name() == event.kind.name());
+            if (repeats && same) || self.events.len() == EVENTS {
+                let at = if repeats && same { self.events.len() - 1 } else { 0 };
+                self.events.remove(at);
             }
             self.events.push_back(event);
         }
