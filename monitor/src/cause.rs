@@ -160,7 +160,7 @@ pub fn attribute(clues: &Clues) -> Attribution {
     let evidence = &clues.evidence;
     let silence_ns = if clues.part == Part::NoAnswer { clues.silence_ns } else { 0 };
     let enough_ns = (lost_ns.max(silence_ns) / 4).max(1);
-    let faulted_ns = u64::from(evidence.minor_faults).saturating_mul(MINOR_FAULT_NS);
+    let faulted_ns = evidence.minor_faults.saturating_mul(MINOR_FAULT_NS);
     if evidence.major_faults > 0 || faulted_ns >= enough_ns {
         return answer(Cause::PageFault, lost_ns);
     }
