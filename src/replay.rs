@@ -12,6 +12,7 @@ use anyhow::Context as _;
 use clap::Args;
 use loopbound_monitor::judge::Judge;
 use loopbound_monitor::recording::reader::{Item, ReadError, Recording};
+use loopbound_monitor::verdict::expectations::judge;
 use loopbound_monitor::verdict::judge_summary;
 use loopbound_monitor::{Config, Summary, Tracker};
 use loopbound_shared::event::Role;
@@ -186,7 +187,7 @@ fn replay<const N: usize>(
         }
     }
     replay.report.cut_off = recording.is_cut_off();
-    Ok(replay.finish())
+    Ok(replay.finish(scenario))
 }
 
 impl<const N: usize> Replay<N> {
@@ -242,10 +243,11 @@ impl<const N: usize> Replay<N> {
         }
     }
 
-    fn finish(mut self) -> Report {
+    fn finish(mut self, scenario: &Scenario) -> Report {
         self.tracker.finish();
         let mut summary = self.tracker.summarise();
-        summary.verdict = judge_summary(&summary);
+        let natural = judge_summary(&summary);
+        summary.verdict = judge(&scenario.expect, &summary, self.tracker.blocks(), natural);
         if let Some(engine) = &self.engine {
             self.report.torques_recomputed = engine.recomputed;
             self.report.torques_as_recorded = engine.as_recorded;

@@ -123,8 +123,8 @@ fn report(args: &RunArgs, out: Option<&Path>, outcome: Outcome) -> anyhow::Resul
     if let (Some(folder), Some(summary)) = (out, &summary) {
         let text = serde_json::to_string_pretty(summary)?;
         supervise::write_whole(&folder.join("summary.json"), text.as_bytes()).context("summary.json")?;
-        check::write_junit(&folder.join("junit.xml"), summary)?;
         crate::report::write(&[folder], &folder.join("report.html")).context("report.html")?;
+        check::write_junit(&folder.join("junit.xml"), summary)?;
     }
     let exit = exit_of(stopped, &record, summary.as_ref());
     let mut stdout = std::io::stdout().lock();

@@ -68,7 +68,8 @@ impl Recorder {
         let recording = McapWriter::create(&folder.join("samples.mcap"), about)?;
         let (queue, entries) = sync_channel(QUEUE);
         let traces = Traces::new(folder.join("changes"), csv_header(links), trace_s);
-        let write = move || write_entries(&entries, links, wall_start_ns, recording, samples, events, latency, traces);
+        let tables = Tables { recording, samples, events, latency, traces };
+        let write = move || write_entries(&entries, links, wall_start_ns, tables);
         let writer = std::thread::Builder::new().name("recorder".to_owned()).spawn(write)?;
         let (folder, dropped) = (folder.to_owned(), Dropped::default());
         Ok(Self { folder, queue: Some(queue), writer: Some(writer), lossless, dropped })
@@ -159,17 +160,17 @@ pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
     fs::rename(&beside, path)
 }
 
-#[expect(clippy::too_many_arguments, reason = "one for each file")]
-fn write_entries(
-    entries: &Receiver<Entry>,
-    links: usize,
-    wall_start_ns: u64,
-    mut recording: McapWriter,
-    mut samples: impl Write,
-    mut events: impl Write,
-    mut latency: impl Write,
-    mut traces: Traces,
-) -> io::Result<()> {
+/// What is written while the run lasts.
+struct Tables {
+    recording: McapWriter,
+    samples: BufWriter<File>,
+    events: BufWriter<File>,
+    latency: BufWriter<File>,
+    traces: Traces,
+}
+
+fn write_entries(entries: &Receiver<Entry>, links: usize, wall_start_ns: u64, tables: Tables) -> io::Result<()> {
+    let Tables { mut recording, mut samples, mut events, mut latency, mut traces } = tables;
     let mut serializer = V2DeflateSerializer::new();
     let mut log = IntervalLogWriterBuilder::new()
         .add_comment("latencies in ns, one tag a hop; start-up left out")

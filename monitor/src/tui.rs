@@ -29,6 +29,8 @@ use model::Model;
 
 /// Between two pictures.
 const PICTURE: Duration = Duration::from_millis(50);
+/// How long records are taken in before the next picture.
+const DRAIN_NS: u64 = 100_000_000;
 /// Between two points of a sparkline.
 const INTERVAL_NS: u64 = 500_000_000;
 /// How long a group that is just being started is waited for.
@@ -84,10 +86,15 @@ fn watch<const N: usize>(args: &MonitorArgs, joined: &Joined, stop: &AtomicBool)
         while let Some(announce) = announces.take() {
             model.learn(&announce);
         }
-        while let Some(flags) = records.take_with(|record| {
-            model.feed(record);
-            record.flags
-        }) {
+        // A view that can't keep up loses records rather than pictures: it must not drain for ever.
+        let until_ns = now_ns() + DRAIN_NS;
+        while now_ns() < until_ns {
+            let Some(flags) = records.take_with(|record| {
+                model.feed(record);
+                record.flags
+            }) else {
+                break;
+            };
             last |= flags & record_flag::LAST != 0;
             heard_ns = now_ns();
         }

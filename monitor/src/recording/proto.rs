@@ -20,8 +20,8 @@ enum Kind {
     Doubles = 0,
 }
 
-/// The fields; a field's number is its place, from 1.
-const FIELDS: [(&str, Kind); 26] = [
+/// The fields before the latencies, of which there is one for each hop, in ns; a field's number is its place, from 1.
+const FIELDS: [(&str, Kind); 19] = [
     ("tick", Kind::UInt64),
     ("t_s", Kind::Double),
     ("q_rad", Kind::Doubles),
@@ -34,13 +34,6 @@ const FIELDS: [(&str, Kind); 26] = [
     ("lyapunov", Kind::Double),
     ("lyapunov_promised", Kind::Double),
     ("lyapunov_level", Kind::Double),
-    ("wakeup_ns", Kind::Double),
-    ("state_to_controller_ns", Kind::Double),
-    ("compute_ns", Kind::Double),
-    ("controller_to_plant_ns", Kind::Double),
-    ("round_trip_ns", Kind::Double),
-    ("deadline_to_torque_ns", Kind::Double),
-    ("setpoint_age_ns", Kind::Double),
     ("active", Kind::UInt64),
     ("epoch", Kind::UInt64),
     ("decision", Kind::UInt64),
@@ -79,7 +72,9 @@ pub fn descriptors() -> Vec<u8> {
     const REPEATED: u64 = 3;
     let mut message = Vec::new();
     bytes(&mut message, 1, b"Tick");
-    for (number, (name, kind)) in (1..).zip(FIELDS) {
+    let fields = FIELDS.into_iter().map(|(name, kind)| (name.to_owned(), kind));
+    let hops = Hop::ALL.into_iter().map(|hop| (format!("{}_ns", hop.name()), Kind::Double));
+    for (number, (name, kind)) in (1..).zip(fields.chain(hops)) {
         let mut field = Vec::new();
         bytes(&mut field, 1, name.as_bytes());
         let repeated = kind == Kind::Doubles;
@@ -150,10 +145,6 @@ pub fn encode(out: &mut Vec<u8>, record: &TickRecord, row: &Row, links: usize) {
     for value in [row.lyapunov, row.lyapunov_bound, row.lyapunov_level] {
         encoder.double(value);
     }
-    for hop in Hop::ALL {
-        let stamps = hop.stamps(record, receipt);
-        encoder.double(stamps.and_then(|(from_ns, to_ns)| Some(to_ns.checked_sub(from_ns)? as f64)));
-    }
     for value in [record.active, record.epoch, record.decision] {
         encoder.uint(u64::from(value));
     }
@@ -162,6 +153,10 @@ pub fn encode(out: &mut Vec<u8>, record: &TickRecord, row: &Row, links: usize) {
         encoder.uint(value);
     }
     debug_assert_eq!(encoder.number, FIELDS.len() as u64, "the encoder follows the table");
+    for hop in Hop::ALL {
+        let stamps = hop.stamps(record, receipt);
+        encoder.double(stamps.and_then(|(from_ns, to_ns)| Some(to_ns.checked_sub(from_ns)? as f64)));
+    }
 }
 
 /// What a message says of V; what does not exist is NaN.
@@ -184,7 +179,7 @@ pub fn figures(message: &[u8]) -> Option<Figures> {
     let (mut v, mut promised, mut level) = (None, None, None);
     while at < message.len() {
         let key = read_varint(message, &mut at)?;
-        let name = FIELDS.get(usize::try_from(key >> 3).ok()?.checked_sub(1)?)?.0;
+        let name = FIELDS.get(usize::try_from(key >> 3).ok()?.checked_sub(1)?).map_or("a latency", |field| field.0);
         match key & 7 {
             VARINT => {
                 let value = read_varint(message, &mut at)?;

@@ -122,7 +122,11 @@ fn strip<const N: usize>(frame: &mut Frame, area: Rect, model: &Model<N>) {
 }
 
 fn latencies<const N: usize>(frame: &mut Frame, area: Rect, model: &Model<N>) {
-    let us = |ns: Option<f64>| ns.map_or_else(|| "–".to_owned(), |ns| format!("{:.1}", ns * 1e-3));
+    let us = |ns: Option<f64>| match ns {
+        None => "–".to_owned(),
+        Some(ns) if ns < 1e7 => format!("{:.1}", ns * 1e-3),
+        Some(ns) => format!("{:.1}ms", ns * 1e-6),
+    };
     let rows = Hop::ALL.iter().zip(&model.sparks).map(|(hop, sparks)| {
         let found = model.quantiles(*hop);
         let most = sparks.iter().copied().max().unwrap_or(1).max(1);
@@ -130,10 +134,10 @@ fn latencies<const N: usize>(frame: &mut Frame, area: Rect, model: &Model<N>) {
         let name = hop.name().replace('_', " ");
         Row::new([name, us(found.p50), us(found.p99), us(found.p99_9), us(found.max), spark].map(Cell::from))
     });
-    let widths = [21, 8, 8, 8, 9].map(Constraint::Length).into_iter().chain([Constraint::Min(4)]);
+    let widths = [21, 8, 8, 9, 9].map(Constraint::Length).into_iter().chain([Constraint::Min(4)]);
     let title = if model.lockstep { " latency, µs (virtual: what was injected) " } else { " latency, µs " };
     let table = Table::new(rows, widths)
-        .header(Row::new(["hop", "p50", "p99", "p99.9", "max", "p99 over time"]).style(Color::DarkGray))
+        .header(Row::new(["hop", "p50", "p99", "p99.9", "max", "p99, over time"]).style(Color::DarkGray))
         .column_spacing(0)
         .block(Block::bordered().title(title));
     frame.render_widget(table, area);
