@@ -5,7 +5,7 @@ use loopbound_controller::{Controller, Input, parse_args, serve};
 use loopbound_shared::clock;
 
 /// Pages touched in one such tick: some 250 ns each at least, so their faults make the tick late.
-const PAGES: usize = 3_072;
+const PAGES: usize = 1_024;
 const PAGE_BYTES: usize = 4_096;
 /// Above the largest size that the allocator keeps for reuse: a fresh mapping every time.
 const BYTES: usize = 48 << 20;

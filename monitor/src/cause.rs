@@ -7,7 +7,8 @@
 //! 1. [`Cause::InjectedFault`]: the tick or its torque says that a fault was injected into it.
 //! 2. [`Cause::MonitorJoined`]: the plant mapped memory for a port in this tick or the one before, and its wake-up is
 //!    the part (or mapping took at least a quarter of the time lost).
-//! 3. [`Cause::PageFault`]: a major fault in the thread.
+//! 3. [`Cause::PageFault`]: a major fault in the thread, or so many minor ones that they explain a quarter of the time
+//!    lost, at [`MINOR_FAULT_NS`] each.
 //! 4. [`Cause::InvoluntarySwitch`]: another thread took the core: an involuntary switch, and run-queue delay of at
 //!    least a quarter of the time lost (any, where the delay can't be read).
 //! 5. [`Cause::RunQueueDelay`]: it was runnable and waited for a core for at least a quarter of the time lost.
@@ -20,6 +21,9 @@
 //!    computation is [`Cause::OwnOverrun`] of the controller; its wake-up is [`Cause::ControllerLate`]; the way back is
 //!    [`Cause::TimerOrHost`] if the plant saw a gap while spinning, else [`Cause::ControllerLate`].
 //!
+//! Where no answer came, the time lost is the whole silence: a controller that was stopped for 20 ms and then waited 0.2 ms
+//! for its core was not late by its run queue.
+//!
 //! A part is unknown only where its stamps are absent or contradict each other: [`Cause::Unknown`].
 //! A host that takes the core from a virtual machine shows in no counter of the guest. In a computation it is taken
 //! for an overrun, and nothing here can tell them apart.
@@ -28,6 +32,8 @@ use std::collections::BTreeMap;
 
 use loopbound_shared::realtime::{Evidence, MISSING_SCHEDSTAT};
 
+/// The least that a minor page fault costs.
+pub const MINOR_FAULT_NS: u64 = 500;
 /// No answer for this long: dead, or stopped.
 pub const SILENCE_NS: u64 = 5_000_000;
 
@@ -152,11 +158,14 @@ pub fn attribute(clues: &Clues) -> Attribution {
         return answer(Cause::MonitorJoined, mapping_ns);
     }
     let evidence = &clues.evidence;
-    if evidence.major_faults > 0 {
+    let silence_ns = if clues.part == Part::NoAnswer { clues.silence_ns } else { 0 };
+    let enough_ns = (lost_ns.max(silence_ns) / 4).max(1);
+    let faulted_ns = evidence.minor_faults.saturating_mul(MINOR_FAULT_NS);
+    if evidence.major_faults > 0 || faulted_ns >= enough_ns {
         return answer(Cause::PageFault, lost_ns);
     }
     let delay_unknown = evidence.missing & MISSING_SCHEDSTAT != 0;
-    let waited = evidence.run_delay_ns >= (lost_ns / 4).max(1);
+    let waited = evidence.run_delay_ns >= enough_ns;
     if evidence.involuntary_switches > 0 && (waited || delay_unknown) {
         return answer(Cause::InvoluntarySwitch, evidence.run_delay_ns);
     }
@@ -285,6 +294,12 @@ mod tests {
         assert_eq!(attribute(&Clues { silence_ns: 0, removed: true, ..silent }).cause, Cause::ControllerDead);
         let starved = Evidence { run_delay_ns: 5_000_000, ..Evidence::default() };
         assert_eq!(attribute(&Clues { evidence: starved, ..silent }).cause, Cause::RunQueueDelay);
+        // A stop of 20 ms, then a short wait for the core.
+        let waited = Evidence { run_delay_ns: 200_000, ..Evidence::default() };
+        let stopped = Clues { silence_ns: 20_000_000, evidence: waited, ..silent };
+        assert_eq!(attribute(&stopped).cause, Cause::ControllerDead);
+        let faulted = Evidence { minor_faults: 4_000, ..Evidence::default() };
+        assert_eq!(attribute(&Clues { evidence: faulted, ..silent }).cause, Cause::PageFault);
     }
 
     #[test]

@@ -33,13 +33,13 @@ for = \"10ms\"
 
 fn recorded(case: &Case, scenario: &str) -> PathBuf {
     let out = case.work.path().join("out");
-    let ended = case.run(scenario, &["--out", out.to_str().unwrap()]).wait();
+    let ended = case.run(scenario, &["--out", out.to_str().expect("a path in UTF-8")]).wait();
     assert!(ended.code.is_some_and(|code| [0, 1, 3].contains(&code)), "{ended:?}");
     out
 }
 
 fn replay(case: &Case, run: &Path, more: &[&str]) -> (Option<i32>, Value) {
-    let mut arguments = vec!["replay", run.to_str().unwrap(), "--json"];
+    let mut arguments = vec!["replay", run.to_str().expect("a path in UTF-8"), "--json"];
     arguments.extend(more);
     let ended = case.output(&arguments);
     let report = serde_json::from_str(&ended.out).unwrap_or_else(|error| panic!("{error}: {ended:?}"));
@@ -78,7 +78,7 @@ fn what_if_changes_the_outcome_and_not_the_decisions() {
     assert_ne!(same["v_max"], Value::Null);
     assert_ne!((&same["v_max"], &same["max_abs_e_rad"]), (&other["v_max"], &other["max_abs_e_rad"]));
     for refused in ["loop.rate=2kHz", "reference.kind=hold", "plant.links=2"] {
-        let ended = case.output(&["replay", out.to_str().unwrap(), "--set", refused]);
+        let ended = case.output(&["replay", out.to_str().expect("a path in UTF-8"), "--set", refused]);
         assert_eq!(ended.code, Some(2), "{refused}: {ended:?}");
     }
 }
@@ -98,7 +98,7 @@ fn a_changed_recording_is_found_a_cut_one_is_followed_to_its_end_and_a_foreign_o
     let mut foreign = bytes.clone();
     foreign[place] = if foreign[place] == b'0' { b'1' } else { b'0' };
     std::fs::write(&path, &foreign).unwrap();
-    let ended = case.output(&["replay", out.to_str().unwrap()]);
+    let ended = case.output(&["replay", out.to_str().expect("a path in UTF-8")]);
     assert_eq!(ended.code, Some(2), "{ended:?}");
     assert!(ended.err.contains("layout of TickRecord"), "{}", ended.err);
 }
@@ -125,7 +125,7 @@ fn a_run_leaves_a_page_and_two_runs_make_one() {
     let page = std::fs::read_to_string(out.join("report.html")).unwrap();
     assert!(page.contains("\"summary\"") && page.len() > 50_000);
     let both = case.work.path().join("both.html");
-    let folder = out.to_str().unwrap();
+    let folder = out.to_str().expect("a path in UTF-8");
     let ended = case.output(&["report", folder, folder, "--out", both.to_str().unwrap()]);
     assert_eq!(ended.code, Some(0), "{ended:?}");
     assert!(std::fs::metadata(&both).unwrap().len() > page.len() as u64 * 3 / 2);

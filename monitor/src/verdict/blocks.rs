@@ -21,7 +21,7 @@ pub const BLOCK_NS: u64 = 250_000_000;
 pub const FILE: &str = "blocks.jsonl";
 /// A torque that never came.
 pub const NEVER_NS: u64 = u64::MAX;
-/// Half the buckets of an octave pair; below twice this, every value has a bucket of its own.
+/// Buckets an octave; below twice this, every value has a bucket of its own.
 const SUB_BUCKETS: u64 = 128;
 /// The bucket of [`NEVER_NS`], above all others.
 pub const LAST_BUCKET: u16 = 7_423;

@@ -153,7 +153,8 @@ fn directly(expectation: &Expectation, summary: &Value) -> Judgement {
     };
     let holds = match (&expectation.budget, &found) {
         (Budget::Text(text), Some(found)) if !found.is_null() => {
-            let same = found.as_str().map_or_else(|| found.to_string() == *text, |found| found == text);
+            let word = found.as_str().map_or_else(|| found.to_string(), str::to_owned);
+            let same = word == *text;
             Some(same == (expectation.comparator == Comparator::Equal))
         }
         _ => measured.zip(budget).map(|(measured, budget)| expectation.comparator.holds(measured, budget)),
