@@ -121,7 +121,7 @@ fn log(low: f64, high: f64, fixed: bool) -> Laid {
     }
     let (low, high) = (from, to);
     let labels_every = ((high - low) / 8.0).ceil().max(1.0);
-    let few = high - low <= 1.5;
+    let few = high - low <= 2.5;
     let mut ticks = Vec::new();
     let mut decade = (low - 1.0).floor();
     while decade <= high {
@@ -131,7 +131,8 @@ fn log(low: f64, high: f64, fixed: bool) -> Laid {
                 continue;
             }
             let value = f64::from(factor) * libm::exp10(decade);
-            let on_grid = ((decade - low) / labels_every).fract().abs() < 1e-9 || few;
+            // Counted from 1, not from the low end, which need not be a power of ten.
+            let on_grid = few || (decade / labels_every).fract().abs() < 1e-9;
             let labelled = on_grid && (factor == 1 || few && (factor == 2 || factor == 5));
             if labelled || high - low <= 4.0 {
                 ticks.push((value, if labelled { logarithmic(value, few) } else { String::new() }));
