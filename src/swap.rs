@@ -89,7 +89,9 @@ fn text(report: &SwapReport) -> String {
             _ => String::new(),
         };
         line("because", format!("{reason}{numbers}"));
-        line("in charge", format!("controller {from}, as before"));
+        if report.result != "done" {
+            line("in charge", format!("controller {from}, as before"));
+        }
     }
     if report.torque_step_nm.is_empty() {
         return text;

@@ -1,5 +1,6 @@
 //! Kills of the controller in charge, one after the other, in a group with a standby.
 
+use loopbound_shared::clock;
 use serde_json::Value;
 
 use crate::live::{Live, in_state, kill, spread};
@@ -11,6 +12,8 @@ const SETTINGS: [&str; 5] = [
     "supervisor.back_off=20ms",
     "supervisor.back_off_max=20ms",
 ];
+/// Time between two kills in which the standby shows that it is one.
+const STEADY_NS: u64 = 150_000_000;
 /// A successor is ready within this on a busy machine.
 const SUCCESSOR_NS: u64 = 10_000_000_000;
 
@@ -20,6 +23,8 @@ pub(crate) fn run(count: u32) -> anyhow::Result<u32> {
         let both = live.wait("no standby", SUCCESSOR_NS, |roster| {
             in_state(roster, "active").is_some() && in_state(roster, "standby").is_some()
         })?;
+        // One that has just joined, or was fenced by a stall of the machine, is a standby after twenty good answers.
+        clock::sleep_ns(STEADY_NS);
         let victim = in_state(&both, "active").map_or(0, |entry| entry.pid);
         kill(victim);
         live.wait("nobody took over", SUCCESSOR_NS, |roster| {

@@ -4,8 +4,9 @@ use crate::sample::{Announce, Setpoint, State, TickRecord, Torque};
 
 /// Subscribers that a topic has room for.
 pub const SUBSCRIBERS_MAX: usize = 16;
-/// Publishers that a topic has room for. A dead one keeps its place until it is cleaned up.
-pub const PUBLISHERS_MAX: usize = 8;
+/// Publishers that a topic has room for: the eight controllers that a plant takes, the other roles, and the dead, who
+/// keep their places until they are cleaned up.
+pub const PUBLISHERS_MAX: usize = 16;
 /// Nodes that a topic has room for: every process of the group and those that attach.
 pub const NODES_MAX: usize = 32;
 

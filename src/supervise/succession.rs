@@ -12,6 +12,9 @@ use super::Supervisor;
 use super::child::Child;
 use crate::processes::Process;
 
+/// Time between two looks whether a dismissed controller has lost its authority.
+const ASK_AGAIN_NS: u64 = 200_000_000;
+
 /// A process that is to be started again.
 pub(super) struct Due {
     process: Process,
@@ -25,6 +28,8 @@ pub(super) struct Due {
 pub(super) struct Retirement {
     id: u32,
     at_ns: u64,
+    /// Goes as soon as it is not in charge; otherwise one that is in charge again by then stays.
+    insist: bool,
 }
 
 impl Supervisor<'_> {
@@ -96,15 +101,23 @@ impl Supervisor<'_> {
 
     /// `id` has been replaced: it stays as a standby for `after_ns`.
     pub(super) fn plan_retirement(&mut self, id: u32, after_ns: u64) {
-        self.retirements.push(Retirement { id, at_ns: clock::now_ns().saturating_add(after_ns) });
+        self.retirements.push(Retirement { id, at_ns: clock::now_ns().saturating_add(after_ns), insist: false });
     }
 
-    /// Lets those go whose time is over. Whoever is in charge again by then stays.
+    /// `id` was refused: it goes at the next look, or when it has lost the authority that a failover gave it.
+    pub(super) fn plan_dismissal(&mut self, id: u32) {
+        self.retirements.push(Retirement { id, at_ns: clock::now_ns() + 1, insist: true });
+    }
+
+    /// Lets those go whose time is over.
     pub(super) fn retire_due(&mut self) {
         let now_ns = clock::now_ns();
         while let Some(at) = self.retirements.iter().position(|r| r.at_ns <= now_ns) {
-            let id = self.retirements.remove(at).id;
+            let Retirement { id, insist, .. } = self.retirements.remove(at);
             if id == self.active {
+                if insist {
+                    self.retirements.push(Retirement { id, at_ns: now_ns + ASK_AGAIN_NS, insist });
+                }
                 continue;
             }
             let of = |c: &Child| c.process.role == Role::Controller && c.process.id == id;

@@ -172,6 +172,11 @@ impl Supervisor<'_> {
                 swap.stage = Stage::Watched(reply.tick + watched_ns.div_ceil(self.scenario.period_ns()) + 1);
                 Some(swap)
             }
+            // A failover was faster than the gate: the new one is in charge, as was asked.
+            Some((ReplyKind::Refused, reply)) if reply.reason == Refusal::AlreadyActive.code() && swap.started => {
+                swap.report.tick = reply.tick;
+                self.conclude(swap, "done", Some("a failover gave it authority before the gate did".to_owned()))
+            }
             Some((ReplyKind::Refused, reply)) => self.refuse(swap, "refused", &reply),
             Some((ReplyKind::RolledBack, reply)) => self.refuse(swap, "rolled back", &reply),
             Some((ReplyKind::Pending, _)) => Some(swap),
@@ -213,7 +218,7 @@ impl Supervisor<'_> {
             }
         } else if swap.started {
             // At the next look: by then it is known who is in charge now.
-            self.plan_retirement(to, 1);
+            self.plan_dismissal(to);
         }
         let why = swap.report.reason.as_ref().map_or_else(String::new, |why| format!(": {why}"));
         self.note(&format!("swap from controller {from} to {to} in tick {}: {result}{why}", swap.report.tick));
