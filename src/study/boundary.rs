@@ -169,7 +169,7 @@ impl<const N: usize> Probe<N> {
             let Some(record) = group.step() else { continue };
             let (q, v) = (to_vector::<N>(&record.q), to_vector::<N>(&record.v));
             let motion = self.mode.dot(&(v + q * self.law.beta)).abs();
-            if !(motion < 1e4 * STRIKE_RAD_S) {
+            if motion.is_nan() || motion > 1e4 * STRIKE_RAD_S {
                 return Ok(true);
             }
             if EARLY.contains(&record.tick) {

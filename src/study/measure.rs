@@ -189,7 +189,7 @@ impl<const N: usize> Sums<N> {
             self.lost_at_s = Some(t_s);
             return;
         }
-        if trace_every > 0 && record.tick % trace_every == 0 {
+        if trace_every > 0 && record.tick.is_multiple_of(trace_every) {
             let list = |x: &Vector<N>| x.iter().copied().collect::<Vec<f64>>();
             self.trace.push(TracePoint { t_s, q: list(&q), q_d: list(&q_d), e: list(&e), ed: list(&ed) });
         }
