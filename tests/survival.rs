@@ -19,11 +19,12 @@ struct Group {
 }
 
 impl Group {
-    /// 100 Hz: a stall of the machine of some milliseconds is no miss.
+    /// 100 Hz: a stall of the machine of some milliseconds is no miss. The law has to be one that is stable there.
     fn start(what: &str, settings: &[&str]) -> Self {
         let name = format!("test-{what}-{}", std::process::id());
         let mut command = Command::new(LOOPBOUND);
         command.args(["run", "--group", &name, "--quiet", "--rate", "100Hz", "--duration", "60s", "--wakeup", "block"]);
+        command.args(["--law", "ctc"]);
         for setting in settings {
             command.args(["--set", setting]);
         }
@@ -75,7 +76,7 @@ fn with_state<'a>(roster: &'a Roster, state: &str) -> Option<&'a Entry> {
 #[test]
 fn a_running_group_changes_its_law_and_the_old_process_retires() {
     let group = Group::start("swap", &["swap_gate.retire_after=100ms"]);
-    let (code, report) = group.swap(&["--law", "robust-ff", "--blend", "50ms"]);
+    let (code, report) = group.swap(&["--law", "pd+g", "--blend", "50ms"]);
     assert_eq!((code, report["result"].as_str()), (Some(0), Some("done")), "{report}");
     assert_eq!((report["from"].as_u64(), report["to"].as_u64()), (Some(1), Some(2)));
     assert_eq!(report["torque_step_nm"].as_array().map(Vec::len), Some(3));
