@@ -2,6 +2,7 @@
 
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use loopbound::supervise::{Entry, ROSTER_FILE, Roster};
 use loopbound_shared::clock;
@@ -13,14 +14,19 @@ const LOOPBOUND: &str = env!("CARGO_BIN_EXE_loopbound");
 /// More than any wait here takes on a busy machine.
 const PATIENCE_NS: u64 = 30_000_000_000;
 
+/// One group at a time: two on two cores would stall each other.
+static TURN: Mutex<()> = Mutex::new(());
+
 struct Group {
     name: String,
     launcher: Child,
+    _turn: MutexGuard<'static, ()>,
 }
 
 impl Group {
     /// 100 Hz: a stall of the machine of some milliseconds is no miss. The law has to be one that is stable there.
     fn start(what: &str, settings: &[&str]) -> Self {
+        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
         let name = format!("test-{what}-{}", std::process::id());
         let mut command = Command::new(LOOPBOUND);
         command.args(["run", "--group", &name, "--quiet", "--rate", "100Hz", "--duration", "60s", "--wakeup", "block"]);
@@ -29,7 +35,7 @@ impl Group {
             command.args(["--set", setting]);
         }
         let launcher = command.stdin(Stdio::null()).spawn().expect("loopbound starts");
-        let group = Self { name, launcher };
+        let group = Self { name, launcher, _turn: turn };
         group.wait("nobody is in charge", |roster| with_state(roster, "active").is_some());
         group
     }
