@@ -1,6 +1,6 @@
 //! `loopbound bound`: the certificate of a scenario, without running it.
 //!
-//! Responsible for what is printed; the certificate is `shared`'s, what latency leaves of it is in [`sampling`].
+//! Responsible for what is printed; the certificate is `shared`'s, what latency leaves of it is in [`mod@sampling`].
 
 pub mod sampling;
 

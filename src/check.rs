@@ -18,7 +18,7 @@ use crate::exit::{Exit, Failure};
 pub struct CheckArgs {
     /// Folder of a run (`run --out DIR`).
     pub run: PathBuf,
-    /// What it must show (TOML); default the [expect] of its scenario.
+    /// What it must show (TOML); default the `expect` section of its scenario.
     #[arg(long, value_name = "FILE")]
     pub expect: Option<PathBuf>,
     /// Write the verdict as JUnit XML too.

@@ -35,7 +35,7 @@ pub struct RunArgs {
     /// Print one JSON document instead of the report.
     #[arg(long)]
     pub json: bool,
-    /// What the run must show (TOML), in place of the scenario's [expect].
+    /// What the run must show (TOML), in place of the scenario's `expect` section.
     #[arg(long, value_name = "FILE")]
     pub expect: Option<PathBuf>,
     /// Draw the run on the terminal while it lasts.

@@ -8,7 +8,7 @@
 //! | [`late`], [`cause`] | which ticks were late or missed, and why |
 //! | [`swaps`] | changes of the controller in charge |
 //! | [`event`] | what is noted besides figures |
-//! | [`summary`], [`verdict`], [`render`] | the keys of `summary.json`, what they come to, one screen of text |
+//! | [`summary`], [`verdict`], [`mod@render`] | the keys of `summary.json`, what they come to, one screen of text |
 //! | [`chart`] | pictures, as SVG and PNG |
 //! | [`files`], `traces`, [`plot`] | the files of a run, written by a thread of their own; percentile plots |
 //! | [`recording`] | `samples.mcap`: what viewers open and `replay` reads |

@@ -187,7 +187,7 @@ pub struct BoundSummary {
     pub shortfalls: Vec<String>,
     /// Ticks checked with a certificate.
     pub checked: u64,
-    /// Ticks with X above the tolerance while V ≤ c. [10]
+    /// Ticks with X above the tolerance while V ≤ c. \[10]
     pub violations: u64,
     /// Ticks with X − ∫L above it: latency does not explain them.
     pub violations_delay_aware: u64,
@@ -197,7 +197,7 @@ pub struct BoundSummary {
     pub verdicts: BTreeMap<String, u64>,
     /// c, the certified level of V.
     pub level: Option<f64>,
-    /// κ, N·m·s. [7]
+    /// κ, N·m·s. \[7]
     pub kappa: Option<f64>,
     /// K_t, N·m·s.
     pub k_t: Option<f64>,
@@ -207,11 +207,11 @@ pub struct BoundSummary {
     pub v_max: Option<f64>,
     /// V at the end.
     pub v_final: Option<f64>,
-    /// α, 1/s. [8]
+    /// α, 1/s. \[8]
     pub alpha: Option<f64>,
-    /// ε. [8]
+    /// ε. \[8]
     pub epsilon: Option<f64>,
-    /// C1, N·m. [6]
+    /// C1, N·m. \[6]
     pub c1: Option<f64>,
     /// Largest observed Ψ less its κ terms, N·m: sound assumptions keep it below C1.
     pub psi_max: Option<f64>,
@@ -221,13 +221,13 @@ pub struct BoundSummary {
     pub slack_mean: Option<f64>,
     /// ‖W‖, the radius outside which V falls. (20)
     pub uub_radius: Option<f64>,
-    /// The ultimate bound of |e|, rad. [9]
+    /// The ultimate bound of |e|, rad. \[9]
     pub ultimate_bound: Option<f64>,
     /// Largest ‖W‖ observed once settled.
     pub w_norm_max_settled: Option<f64>,
-    /// How much later the p99.9 torque could be before the sampled loop is unstable, ns. [11]
+    /// How much later the p99.9 torque could be before the sampled loop is unstable, ns. \[11]
     pub delay_margin_ns: Option<f64>,
-    /// Share of the latency budget used, by the p99.9 of the loop latency. [11]
+    /// Share of the latency budget used, by the p99.9 of the loop latency. \[11]
     pub budget_used: Option<f64>,
     /// The loop latency that it is computed from, ns.
     pub loop_latency_ns: Option<f64>,

@@ -16,7 +16,7 @@ mod tests;
 
 /// Below this speed of every link (rad/s) braking counts as a stop.
 const STOPPED_RAD_S: f64 = 1e-3;
-/// The damping is this share of what sampling allows (K h < 2 λ_min, see [11]) …
+/// The damping is this share of what sampling allows (K h < 2 λ_min, see \[11]) …
 const DAMPING_SHARE: f64 = 0.125;
 /// … and at most this, N·m·s.
 const DAMPING_MAX: f64 = 20.0;

@@ -12,7 +12,7 @@
 //! | [`remedy`] | which single change would make the certificate hold |
 //! | [`lyapunov`] | V, its promised rate, the observed Ψ, and which blends of laws a certificate covers |
 //! | [`diagnose`] | whether an interval kept the promise, and if not whose fault it was |
-//! | [`stability`] | how late a torque may be: [11], [12], [13] and the spectral radius of the sampled loop |
+//! | [`stability`] | how late a torque may be: \[11], \[12], \[13] and the spectral radius of the sampled loop |
 
 pub mod certificate;
 pub mod diagnose;

@@ -1,4 +1,4 @@
-//! What period and latency leave of a certificate: [11], [12], [13], and the smallest ‖W‖ for a latency.
+//! What period and latency leave of a certificate: \[11], \[12], \[13], and the smallest ‖W‖ for a latency.
 
 use std::fmt::Write as _;
 
@@ -22,21 +22,21 @@ pub struct Sampling {
     pub period_s: f64,
     /// From a sample to the action of its torque, s.
     pub latency_s: f64,
-    /// [11]; none for `ctc`.
+    /// \[11]; none for `ctc`.
     pub budget: Option<SamplingBudget>,
     /// Largest spectral radius of the sampled loop over configurations; below 1 it is stable.
     pub radius: f64,
     /// What may be added to the latency by the spectral radius, s.
     pub radius_margin_s: f64,
-    /// [12].
+    /// \[12].
     pub proven: Option<ProvenAge>,
     /// V and |τ| (N·m) for which the hold limit is given: where V settles, and the most that gravity asks.
     pub held: (f64, f64),
-    /// [13], s.
+    /// \[13], s.
     pub hold_s: f64,
-    /// [13], whole ticks.
+    /// \[13], whole ticks.
     pub hold_ticks: u32,
-    /// The certificate with the smallest ‖W‖ that all of [11] allows at this latency.
+    /// The certificate with the smallest ‖W‖ that all of \[11] allows at this latency.
     pub smallest_w: Option<Certificate>,
 }
 

@@ -2,7 +2,7 @@
 //!
 //! Measured: the chain hangs at rest, its fastest mode is struck lightly, and the motion of that mode grows or dies
 //! away. Delays of any length act between the ticks, so that bisection finds the boundary to a thousandth. Predicted by
-//! the rule [11], which knows the fastest mode alone, and by the spectral radius, which knows all of them.
+//! the rule \[11], which knows the fastest mode alone, and by the spectral radius, which knows all of them.
 
 use loopbound_shared::bound::stability::radius::spectral_radius;
 use loopbound_shared::bound::stability::{critical_rate, fast_rate};
@@ -42,14 +42,14 @@ pub struct Probe<const N: usize> {
 pub struct Boundary {
     /// In lockstep.
     pub measured_s: f64,
-    /// By [11] and its continuation to d ≥ h.
+    /// By \[11] and its continuation to d ≥ h.
     pub rule_s: f64,
     /// By the spectral radius.
     pub radius_s: f64,
 }
 
 impl Boundary {
-    /// Deviation of [11] from what was measured, relative.
+    /// Deviation of \[11] from what was measured, relative.
     #[must_use]
     pub fn rule_deviation(&self) -> f64 {
         self.rule_s / self.measured_s - 1.0

@@ -137,8 +137,8 @@ pub struct Base {
 }
 
 impl Base {
-    /// For `N` links. Three links are the default scenario itself. For others C1 covers what [6] requires and the
-    /// disturbance, c the start, and the rate is the first of 1, 2, 5, 10, 20 kHz that uses at most 60 % of [11].
+    /// For `N` links. Three links are the default scenario itself. For others C1 covers what \[6] requires and the
+    /// disturbance, c the start, and the rate is the first of 1, 2, 5, 10, 20 kHz that uses at most 60 % of \[11].
     ///
     /// # Errors
     /// If the scenario describes no system.

@@ -90,7 +90,7 @@ pub fn error_map(title: &str, table: &Table) -> Figure {
     Figure { title: title.to_owned(), panels: vec![Panel::heat("", map)], ..Figure::default() }
 }
 
-/// C1 against error, chattering and saturation; dashed verticals where [6] begins to hold and where [11] ends.
+/// C1 against error, chattering and saturation; dashed verticals where \[6] begins to hold and where \[11] ends.
 #[must_use]
 pub fn trade_off(title: &str, points: &[TradeOff]) -> Figure {
     let mut rates: Vec<f64> = points.iter().map(|p| p.rate_hz).collect();

@@ -71,7 +71,7 @@ impl Measured {
         self.ed_max_rad_s.iter().copied().fold(0.0, f64::max)
     }
 
-    /// Measured sup |e| over the certified limsup [9]; none without a certificate.
+    /// Measured sup |e| over the certified limsup \[9]; none without a certificate.
     #[must_use]
     pub fn bound_used(&self) -> Option<f64> {
         let radius = self.bound.ultimate_bound.filter(|radius| *radius > 0.0)?;

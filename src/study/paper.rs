@@ -28,9 +28,9 @@ pub struct TradeOff {
     pub rate_hz: f64,
     /// K_t = K2 + κ + K3 C1², N·m·s.
     pub k_t: f64,
-    /// What C1 must cover, N·m. [6]
+    /// What C1 must cover, N·m. \[6]
     pub c1_required_nm: f64,
-    /// C1 at which [11] has no room left at this rate, N·m; none if that is so for every C1.
+    /// C1 at which \[11] has no room left at this rate, N·m; none if that is so for every C1.
     pub c1_at_boundary_nm: Option<f64>,
     /// What came out.
     pub measured: Measured,
@@ -95,7 +95,7 @@ pub fn table<const N: usize>(
     Ok(Table { rows: runs.into_iter().collect::<Result<_, ScenarioError>>()? })
 }
 
-/// `robust` with C1 from an eighth of what [6] requires to eight times that, under noise and with limited actuators, at
+/// `robust` with C1 from an eighth of what \[6] requires to eight times that, under noise and with limited actuators, at
 /// the study's rate and at four times that.
 ///
 /// # Errors

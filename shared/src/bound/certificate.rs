@@ -1,6 +1,6 @@
 //! Certificates: the differential inequality V̇ ≤ −… + ε that a law with given gains is proven to keep.
 //!
-//! All laws but `ctc` use V = ½ rᵀMr + ½ p|e|² [4]; on {V ≤ c}, with ē = sqrt(2c/p), w = v_∞ + β ē and
+//! All laws but `ctc` use V = ½ rᵀMr + ½ p|e|² \[4]; on {V ≤ c}, with ē = sqrt(2c/p), w = v_∞ + β ē and
 //! x = v_∞ + v_2 + β ē,
 //!
 //! ```text
@@ -8,7 +8,7 @@
 //! V(t) ≤ V(0) e^{−αt} + (ε/α)(1 − e^{−αt}),   α = min(2 K2/λ̄, β)
 //! ```
 //!
-//! once C1 covers the terms without state [6] and K_t = K2 + κ + K3 C1² the rest [7]. It holds when
+//! once C1 covers the terms without state \[6] and K_t = K2 + κ + K3 C1² the rest \[7]. It holds when
 //! c ≥ max(V(0), ε/α); κ depends on c, so c is fixed first. The certificate travels in shared memory, hence its layout.
 
 use crate::chain::Chain;
@@ -26,7 +26,7 @@ pub struct Gains {
     pub k2: f64,
     /// K3, 1/(N·m·rad/s): ε = 1/(4 K3).
     pub k3: f64,
-    /// C1, N·m; absent: as much as [6] requires.
+    /// C1, N·m; absent: as much as \[6] requires.
     pub c1: Option<f64>,
     /// c, the certified level of V.
     pub level: f64,
@@ -126,11 +126,11 @@ pub struct Certificate {
     pub k3: f64,
     /// C1, N·m.
     pub c1: f64,
-    /// What C1 must cover at least, N·m. [6]
+    /// What C1 must cover at least, N·m. \[6]
     pub c1_required: f64,
-    /// δ of the cross term |e||r|. [7]
+    /// δ of the cross term |e||r|. \[7]
     pub delta: f64,
-    /// κ, N·m·s. [7]
+    /// κ, N·m·s. \[7]
     pub kappa: f64,
     /// K_t = K2 + κ + K3 C1², N·m·s; K_d in `pd+g`.
     pub k_t: f64,
@@ -146,15 +146,15 @@ pub struct Certificate {
     pub r_rate: f64,
     /// Coefficient of |e|² in the promised rate of V.
     pub e_rate: f64,
-    /// ε, 1/s in units of V. [8]
+    /// ε, 1/s in units of V. \[8]
     pub epsilon: f64,
     /// α, 1/s.
     pub alpha: f64,
     /// ‖W‖ with W = (e, r): outside of this radius V falls. (20)
     pub w_norm: f64,
-    /// limsup |e|, rad. [9]
+    /// limsup |e|, rad. \[9]
     pub ultimate_e: f64,
-    /// limsup |r|, rad/s. [9]
+    /// limsup |r|, rad/s. \[9]
     pub ultimate_r: f64,
     /// λ̲, kg·m².
     pub lambda_lo: f64,
@@ -178,9 +178,9 @@ pub struct Certificate {
     pub v_2: f64,
     /// sup |q̈_d|, rad/s².
     pub a_2: f64,
-    /// What C1 must cover when no law answers and a torque is just held, N·m; 0 in `ctc`. [13]
+    /// What C1 must cover when no law answers and a torque is just held, N·m; 0 in `ctc`. \[13]
     pub c1_held: f64,
-    /// δ when a torque is held. [13]
+    /// δ when a torque is held. \[13]
     pub delta_held: f64,
     /// `ctc`: k = ½K_d − σ η1, 1/s.
     pub k: f64,
@@ -287,7 +287,7 @@ pub fn certificate(law: LawKind, envelope: &Envelope, gains: &Gains, start: Opti
     result
 }
 
-/// Constants of the laws that are certified on r: [4] to [9].
+/// Constants of the laws that are certified on r: \[4] to \[9].
 fn of_r(law: LawKind, env: &Envelope, gains: &Gains) -> Certificate {
     let beta = gains.beta;
     let mut out = Certificate { beta, k2: gains.k2, k3: gains.k3, ..Certificate::blank(law, env, gains) };
@@ -343,7 +343,7 @@ fn of_r(law: LawKind, env: &Envelope, gains: &Gains) -> Certificate {
     out
 }
 
-/// ε, α and the radii [8], [9], (20) from K2, p, δ and the share of the gain that works against C1.
+/// ε, α and the radii \[8], \[9], (20) from K2, p, δ and the share of the gain that works against C1.
 fn finish_r(out: &mut Certificate, against_c1: f64) {
     // Without terms to pay for (an exact feed-forward) there is no ε, whatever the gain.
     out.epsilon = if out.c1 > 0.0 { out.c1 * out.c1 / (4.0 * against_c1) } else { 0.0 };

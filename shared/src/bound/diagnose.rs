@@ -9,7 +9,7 @@
 //!
 //! (in `ctc` M⁻¹(½K_d e + ė) has the place of r). The signs stay: with |r||Δτ| instead, faults would hide behind the
 //! latency. All integrals run along the plant's own Runge–Kutta steps, so that no tolerance has to be tuned: for the
-//! excess X = ΔV − ∫[8] the first of X, X − ∫L, X − ∫L − ∫F that is not positive names the verdict. L holds the designed
+//! excess X = ΔV − ∫\[8] the first of X, X − ∫L, X − ∫L − ∫F that is not positive names the verdict. L holds the designed
 //! hold and the measurement error of the sample too: with the sample that was scheduled it is evaluated a second time,
 //! and the difference is lateness.
 //!
@@ -76,7 +76,7 @@ pub struct IntervalDiagnosis<const N: usize> {
     pub v_start: f64,
     /// V at the end, with the setpoint extrapolated from the start.
     pub v_end: f64,
-    /// X = ΔV − ∫[8].
+    /// X = ΔV − ∫\[8].
     pub x: f64,
     /// ∫L for the samples that were answered.
     pub int_l: f64,
@@ -120,7 +120,7 @@ impl<const N: usize> Diagnosis<'_, N> {
         IntervalDiagnosis { end: state, v_start, v_end, x, int_l, int_l_scheduled, int_f, psi_max, verdict }
     }
 
-    /// The end of a segment and the integrals of [8], L, L as scheduled, F over it.
+    /// The end of a segment and the integrals of \[8], L, L as scheduled, F over it.
     fn segment(
         &self,
         start: &PlantState<N>,

@@ -1,4 +1,4 @@
-//! V and what is promised of it, at one state: the rate [8], the step promise (a), the observed Ψ against C1, and the
+//! V and what is promised of it, at one state: the rate \[8], the step promise (a), the observed Ψ against C1, and the
 //! statement about blends.
 
 use crate::chain::{Chain, Vector};
@@ -7,7 +7,7 @@ use crate::law::{LawInput, LawKind};
 use super::certificate::Certificate;
 
 impl Certificate {
-    /// V of a state, with the true chain. [4], or the V of `ctc`.
+    /// V of a state, with the true chain. \[4], or the V of `ctc`.
     ///
     /// `true_chain` is the plant's: the M of V is the true one. Zero for a certificate without a law.
     #[must_use]
@@ -24,7 +24,7 @@ impl Certificate {
         }
     }
 
-    /// The promised rate of V: V̇ ≤ this. [8], or that of `ctc`.
+    /// The promised rate of V: V̇ ≤ this. \[8], or that of `ctc`.
     #[must_use]
     pub fn rate<const N: usize>(&self, x: &LawInput<N>) -> f64 {
         let e = x.e();
@@ -53,7 +53,7 @@ impl Certificate {
         if self.alpha > 0.0 { v + (self.v_ultimate() - v) * fade } else { v }
     }
 
-    /// Ψ less the terms that κ pays for, as it was observed: the part that C1 must cover, N·m. [5], [6]
+    /// Ψ less the terms that κ pays for, as it was observed: the part that C1 must cover, N·m. \[5], \[6]
     ///
     /// Observed means from the acceleration q̈ that the plant really had under the torque τ, so disturbances, friction
     /// and wrong parameters are all in it; the true chain gives M and C. From M(q̈_d − q̈) + τ − C q̇ = M q̈_d + G − d,

@@ -23,7 +23,7 @@ pub enum Requirement {
     Gain,
     /// K3 C1² > 0: what K_d leaves after κ and K2 (`pd+g`).
     GainAgainstC1,
-    /// C1 covers [6].
+    /// C1 covers \[6].
     C1,
     /// k = ½K_d − σ η1 > 0 (`ctc`).
     ComputedTorqueMargin,

@@ -14,12 +14,12 @@ pub mod radius;
 
 mod dense;
 
-/// How much of the room that [11] leaves is used by a period and a delay.
+/// How much of the room that \[11] leaves is used by a period and a delay.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SamplingBudget {
-    /// a d; 1 and more is unstable where d < h. [11]
+    /// a d; 1 and more is unstable where d < h. \[11]
     pub delay_ratio: f64,
-    /// a (h − 2d)/2; 1 and more is unstable. [11]
+    /// a (h − 2d)/2; 1 and more is unstable. \[11]
     pub hold_ratio: f64,
     /// The rate of the fastest mode over the rate at which the loop loses its stability: the larger of both ratios for
     /// d < h. Below 1 the loop is stable.
@@ -46,7 +46,7 @@ pub fn fast_rate(cert: &Certificate) -> Option<f64> {
     (rate > 0.0 && rate.is_finite()).then_some(rate)
 }
 
-/// [11] for a period and a constant delay (both s), the torque held in between.
+/// \[11] for a period and a constant delay (both s), the torque held in between.
 ///
 /// ṙ = −a r sampled exactly has, for d < h, the characteristic polynomial z² − (1 − a(h−d)) z + a d, and Jury's test of
 /// it is a d < 1, a(h − 2d) < 2. None where [`fast_rate`] is none. Local: the loop is linearised; no region of attraction is claimed.
@@ -76,7 +76,7 @@ pub fn sampling_budget(cert: &Certificate, period_s: f64, delay_s: f64) -> Optio
 
 /// The rate a (1/s) at which ṙ = −a r, sampled every h and answered d later, loses its stability; any d ≥ 0.
 ///
-/// With d = (j + f) h, 0 ≤ f < 1, the loop is z^{j+1}(z − 1) + a h((1−f) z + f) = 0. For j = 0 that is [11]; for j ≥ 1
+/// With d = (j + f) h, 0 ≤ f < 1, the loop is z^{j+1}(z − 1) + a h((1−f) z + f) = 0. For j = 0 that is \[11]; for j ≥ 1
 /// the first crossing z = e^{iθ} of the unit circle solves (j + 3/2) θ − arg((1−f) e^{iθ} + f) = π/2, and there
 /// a h = 2 sin(θ/2)/|(1−f) e^{iθ} + f|.
 #[must_use]
@@ -99,7 +99,7 @@ pub fn critical_rate(period_s: f64, delay_s: f64) -> f64 {
     2.0 * libm::sin(theta / 2.0) / ((real * real + imaginary * imaginary).sqrt() * period_s)
 }
 
-/// The age for which the bound is proven a priori, with the constants that it then has. [12]
+/// The age for which the bound is proven a priori, with the constants that it then has. \[12]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProvenAge {
     /// T: largest age of a torque (hold and delay together), s.
@@ -173,18 +173,18 @@ pub fn hold_limit_s(cert: &Certificate, v: f64, tau_norm_nm: f64) -> f64 {
     libm::log((growth * cert.level.sqrt() + push) / (growth * v.sqrt() + push)) / growth
 }
 
-/// H = floor(T_H/h) whole ticks. [13]
+/// H = floor(T_H/h) whole ticks. \[13]
 #[must_use]
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "saturates, and the limit is not negative")]
 pub fn hold_limit_ticks(cert: &Certificate, v: f64, tau_norm_nm: f64, period_s: f64) -> u32 {
     (hold_limit_s(cert, v, tau_norm_nm) / period_s).floor() as u32
 }
 
-/// The certificate with the smallest ‖W‖ (20) that a period and a latency allow under [11], for `robust` or
+/// The certificate with the smallest ‖W‖ (20) that a period and a latency allow under \[11], for `robust` or
 /// `robust-ff`; none for other laws, or when none is certified.
 ///
-/// A tighter ‖W‖ needs a larger gain and hence, by [11], a lower latency. β, the level and how the gain is shared out
-/// are searched on a fixed grid; K_t is `budget` (at most 1) times what [11] allows.
+/// A tighter ‖W‖ needs a larger gain and hence, by \[11], a lower latency. β, the level and how the gain is shared out
+/// are searched on a fixed grid; K_t is `budget` (at most 1) times what \[11] allows.
 #[must_use]
 pub fn smallest_w(
     law: LawKind,
