@@ -223,7 +223,7 @@ function head(run, at) {
   const mood = /held|passed|within/.test(status) ? 'good' : /violated|failed/.test(status) ? 'bad' : 'warn';
   add(at, `<div class="verdict"><span class="badge ${mood}">${esc(status)}</span><div><h1>${esc(run.name)}</h1><span class="note">${esc(s.written ?? '')} · ${esc(s.mode ?? '')} · ${esc(s.bound?.law ?? 'no known law')} · loopbound ${esc(s.version ?? '')}</span></div></div>`);
   const reasons = s.verdict?.reasons ?? [];
-  add(at, reasons.length ? `<ul class="reasons">${reasons.map(r => `<li>${esc(r)}</li>`).join('')}</ul>` : '<p class="note">No tick gave cause for complaint.</p>');
+  add(at, reasons.length ? `<ul class="reasons">${reasons.map(r => `<li>${esc(r)}</li>`).join('')}</ul>` : '<p class="note">Every expectation held, and the bound was kept. Missed and late ticks are counted below, with their causes.</p>');
   const trip = s.latency_ns?.round_trip ?? {}, b = s.bound ?? {};
   const tiles = [
     ['rate', `${number(s.rate_hz)} Hz`], ['ticks seen', number(s.ticks_seen, 9)], ['missed', number(s.missed_ticks, 9), s.missed_ticks ? 'warn' : ''],
