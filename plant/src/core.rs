@@ -114,8 +114,9 @@ impl<const N: usize> PlantCore<N> {
     pub fn open(&mut self, at: Opening) -> State {
         let plant_ns = at.sampled_ns - self.t_0_ns;
         self.close(at.sampled_ns, plant_ns, at.skipped);
-        let held = self.promise_held(at.tick);
-        let judge = self.laws.at(&self.state, &self.setpoint_value(at.tick, at.sampled_ns - at.deadline_ns));
+        let setpoint = self.setpoint_value(at.tick, at.sampled_ns - at.deadline_ns);
+        let held = self.promise_held(&setpoint);
+        let judge = self.laws.at(&self.state, &setpoint);
         self.authority.switch_if_due(at.tick, held, &judge);
         self.authority.open(at.tick, at.grace_deadline_ns);
         self.begin_record(&at, plant_ns);
@@ -406,23 +407,18 @@ impl<const N: usize> PlantCore<N> {
 
     /// Promise (a) over the tick that was just closed; looked at only while a switch is being watched. It is the
     /// promise of one law whose torque acts in time: a cross-fade, a late torque and a second switch promise nothing.
-    fn promise_held(&mut self, tick: u64) -> bool {
+    fn promise_held(&mut self, setpoint: &loopbound_shared::trajectory::SetpointValue<N>) -> bool {
         if self.authority.watch.is_none() {
             self.watched_v = None;
             return true;
         }
         let active = self.authority.active().0;
-        let setpoint = self.setpoint_value(tick, self.plant_offset(tick));
-        let Some((certificate, v)) = self.laws.v_of(active, &self.state, &setpoint) else { return true };
+        let Some((certificate, v)) = self.laws.v_of(active, &self.state, setpoint) else { return true };
         let before = self.watched_v.replace((active, v)).filter(|(of, _)| *of == active);
         let h_ns = self.closed.end_plant_ns - self.closed.start_plant_ns;
         self.closed.decision != Decision::Active.code()
             || before.is_none_or(|(_, before)| {
                 before > certificate.level || Laws::<N>::promise_holds(certificate, before, v, h_ns)
             })
-    }
-
-    fn plant_offset(&self, tick: u64) -> u64 {
-        self.plant_ns.saturating_sub(tick * self.setpoints.period_ns())
     }
 }
