@@ -104,6 +104,9 @@ struct Supervisor<'a> {
     commands: CommandClient,
     announcements: Subscriber<Announce>,
     states: Subscriber<State>,
+    /// The last closed tick alone, for the roster.
+    closed: Subscriber<TickRecord>,
+    newest: Option<TickRecord>,
     /// Lockstep: who has answered which tick, to know whom the plant waits for.
     torques: Option<Subscriber<Torque>>,
     answered: Vec<(u32, u64)>,
@@ -163,6 +166,8 @@ impl<'a> Supervisor<'a> {
             commands: node.command_client()?,
             announcements: node.subscriber(64)?,
             states: node.subscriber(1)?,
+            closed: node.subscriber(1)?,
+            newest: None,
             torques: lockstep.then(|| node.subscriber(1)).transpose()?,
             answered: Vec::new(),
             suspected_in: None,
@@ -294,6 +299,7 @@ impl<'a> Supervisor<'a> {
             && self.active != 0
             && state.active != 0
         {
+            self.retire_after_scheduled(self.active, state.active);
             self.active = state.active;
             self.set_priorities();
         }
@@ -305,7 +311,10 @@ impl<'a> Supervisor<'a> {
                 }
             }
         }
-        self.roster.update(roster::roster(self.group.name(), &self.children, self.active));
+        // Readers pass over a record without links: it is of the warm-up.
+        self.newest = self.closed.latest().filter(|record| record.links != 0).or(self.newest);
+        let roster = roster::roster(self.group.name(), &self.children, self.active, self.newest.as_ref());
+        self.roster.update(roster);
     }
 
     /// Deals with everyone that has ended since the last look. Some: so has the group.

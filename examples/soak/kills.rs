@@ -4,6 +4,7 @@ use loopbound_shared::clock;
 use serde_json::Value;
 
 use crate::live::{Live, in_state, kill, spread};
+use crate::trace::Trace;
 
 const SETTINGS: [&str; 5] = [
     "loop.duration=2h",
@@ -35,18 +36,13 @@ pub(crate) fn run(count: u32) -> anyhow::Result<u32> {
     let swaps = summary["swaps"].as_array().cloned().unwrap_or_default();
     let failovers: Vec<&Value> = swaps.iter().filter(|swap| swap["kind"] == "failover").collect();
     let figure = |key: &str| failovers.iter().filter_map(|swap| swap[key].as_f64()).collect::<Vec<_>>();
-    let missed = figure("missed_ticks");
+    let ticks: Vec<u64> = failovers.iter().filter_map(|swap| swap["tick"].as_u64()).collect();
     println!("kills of the active controller: {count}; failovers {}", failovers.len());
-    println!(
-        "  missed ticks within 50 ms of a failover: {}, in {} of them",
-        missed.iter().sum::<f64>(),
-        missed.iter().filter(|ticks| **ticks > 0.0).count()
-    );
-    println!("  missed ticks in all: {} of {}", summary["counters"]["missed"], summary["counters"]["ticks"]);
+    Trace::read(live.out.path())?.print_missed("a failover", &ticks);
+    println!("  ticks missed in all: {} of {}", summary["counters"]["missed"], summary["counters"]["ticks"]);
     println!("  torque step at the failover, N·m: {}", spread(figure("torque_step_nm")));
     println!("  held, damped: {}, {}", summary["counters"]["held"], summary["counters"]["damped"]);
-    println!("  causes of the missed: {}", summary["missed_ticks_by_cause"]);
-    println!("  bound: {}", summary["bound"]);
+    println!("  bound: {}, slack min {}", summary["bound"]["verdicts"], summary["bound"]["slack_min"]);
     println!("  the group ended within {:.2} s", end_ns as f64 * 1e-9);
     Ok(u32::from(end_ns > 2_000_000_000))
 }

@@ -166,11 +166,14 @@ impl Drop for Load {
     }
 }
 
-/// Median and largest of some figures, as text.
+/// Median, 99th percentile and largest of some figures, as text.
 pub(crate) fn spread(mut values: Vec<f64>) -> String {
     values.sort_by(f64::total_cmp);
     match values.last() {
-        Some(most) => format!("median {:.4}, most {most:.4}", values[values.len() / 2]),
+        Some(most) => {
+            let (n, p99) = (values.len(), values[(values.len() - 1) * 99 / 100]);
+            format!("median {:.4}, p99 {p99:.4}, most {most:.4} (n = {n})", values[n / 2])
+        }
         None => "none".to_owned(),
     }
 }

@@ -11,6 +11,7 @@ mod groups;
 mod kills;
 mod live;
 mod swaps;
+mod trace;
 
 use std::process::ExitCode;
 

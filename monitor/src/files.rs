@@ -67,7 +67,9 @@ impl Recorder {
         let (links, wall_start_ns) = (about.links, about.started.wall_ns);
         let recording = McapWriter::create(&folder.join("samples.mcap"), about)?;
         let (queue, entries) = sync_channel(QUEUE);
-        let traces = Traces::new(folder.join("changes"), csv_header(links), trace_s);
+        // Both bounds of V: the promise is in every row of the samples, the certified level only here.
+        let header = format!("{},V_level\n", csv_header(links).trim_end());
+        let traces = Traces::new(folder.join("changes"), header, trace_s);
         let tables = Tables { recording, samples, events, latency, traces };
         let write = move || write_entries(&entries, links, wall_start_ns, tables);
         let writer = std::thread::Builder::new().name("recorder".to_owned()).spawn(write)?;
@@ -187,6 +189,9 @@ fn write_entries(entries: &Receiver<Entry>, links: usize, wall_start_ns: u64, ta
                 line.clear();
                 csv_line(&mut line, row, links);
                 samples.write_all(line.as_bytes())?;
+                line.truncate(line.trim_end().len());
+                let level = row.lyapunov_level.map_or_else(String::new, |level| format!("{level:?}"));
+                let _ = writeln!(line, ",{level}");
                 traces.line(row.tick, row.t_s, row.active, &line)?;
             }
             Entry::Announce(announce) => recording.announce(&announce)?,

@@ -43,7 +43,8 @@ pub struct Judge<const N: usize> {
     truth: Truth<N>,
     assumptions: Assumptions<N>,
     envelope: Envelope,
-    start: LawInput<N>,
+    /// The start that each law's certificate has to cover, if any.
+    starts: [Option<LawInput<N>>; LawKind::ALL.len()],
     scenario_gains: [Gains; LawKind::ALL.len()],
     step_max_ns: u64,
     settle_ns: u64,
@@ -122,11 +123,15 @@ impl<const N: usize> Judge<N> {
         let assumptions = system::assumptions::<N>(scenario)?;
         let envelope = assumptions.envelope();
         let scenario_gains = LawKind::ALL.map(|law| system::gains(scenario, law));
+        let mut starts = [None; LawKind::ALL.len()];
+        for law in LawKind::ALL {
+            starts[law as usize] = system::start_of(scenario, law)?;
+        }
         let mut judge = Self {
             truth: scenario.build_truth()?,
             assumptions,
             envelope,
-            start: system::start(scenario)?,
+            starts,
             scenario_gains,
             step_max_ns: scenario.loop_.max_step.ns(),
             settle_ns: scenario.loop_.settle_ns(),
@@ -145,7 +150,7 @@ impl<const N: usize> Judge<N> {
     }
 
     fn claim(&self, kind: LawKind, gains: &Gains) -> Claim<N> {
-        let certification = certify(kind, &self.assumptions, gains, Some(&self.start));
+        let certification = certify(kind, &self.assumptions, gains, self.starts[kind as usize].as_ref());
         let certificate = certification.certificate;
         let law = Law {
             kind,
@@ -181,8 +186,8 @@ impl<const N: usize> Judge<N> {
 
     fn claim_of(&self, kind: LawKind, announce: &Announce) -> Claim<N> {
         let gains = self.scenario_gains[kind as usize];
-        let start = StartError::of(&self.assumptions.nominal, &self.start);
-        let scenarios = certificate(kind, &self.envelope, &gains, Some(&start));
+        let start = self.starts[kind as usize].map(|start| StartError::of(&self.assumptions.nominal, &start));
+        let scenarios = certificate(kind, &self.envelope, &gains, start.as_ref());
         let same = |a: f64, b: f64| a.to_bits() == b.to_bits();
         let same_gains = match kind {
             LawKind::Robust | LawKind::RobustFf => same(announce.k_t, scenarios.k_t) && same(announce.beta, gains.beta),

@@ -8,15 +8,16 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 
 use loopbound_shared::chain::LINKS_MAX;
-use loopbound_shared::clock::{now_ns, seconds, sleep_until_ns_or_signal, wall_time, wall_time_ns};
+use loopbound_shared::clock::{now_ns, seconds, sleep_ns, sleep_until_ns_or_signal, wall_time, wall_time_ns};
 use loopbound_shared::doorbell::Bell;
 use loopbound_shared::event::{Phase, Role};
+use loopbound_shared::fault::FaultPlan;
 use loopbound_shared::group::runtime_folder;
 use loopbound_shared::ports::{Publisher, Subscriber};
 use loopbound_shared::realtime::{Privileges, die_with_parent};
-use loopbound_shared::role::{Joined, RoleArgs, RoleError, announce, build_id, join};
+use loopbound_shared::role::{Joined, RoleArgs, RoleError, announce, build_id, join, kill_self};
 use loopbound_shared::sample::{Announce, TickRecord, record_flag};
-use loopbound_shared::scenario::{Mode, Scenario};
+use loopbound_shared::scenario::{self, Mode, Scenario};
 use loopbound_shared::topics::Topic;
 use loopbound_shared::with_links;
 
@@ -127,6 +128,21 @@ pub fn run(args: &MonitorArgs, stop: &AtomicBool) -> Result<Outcome, RoleError> 
     Ok(outcome)
 }
 
+/// The monitor's own injected faults, also those of ticks that it did not see.
+fn suffer(faults: &FaultPlan, record: &TickRecord, last_tick: Option<u64>) {
+    // The first record that it sees is no gap: those before it were never meant for it.
+    let from = last_tick.map_or(record.tick, |last| last + 1);
+    for tick in if faults.is_empty() { 0..0 } else { from..record.tick + 1 } {
+        let actions = faults.at_tick(tick);
+        if actions.kill {
+            kill_self();
+        }
+        if actions.hang_ns > 0 {
+            sleep_ns(actions.hang_ns);
+        }
+    }
+}
+
 fn watch<const N: usize>(args: &MonitorArgs, joined: &Joined, stop: &AtomicBool) -> Result<Outcome, RoleError> {
     let mut watch = Watch::<N>::open(args, joined)?;
     watch.grant();
@@ -152,6 +168,7 @@ struct Watch<'a, const N: usize> {
     judged_blocks: usize,
     last_record_ns: u64,
     last_seen: bool,
+    faults: FaultPlan,
 }
 
 impl<'a, const N: usize> Watch<'a, N> {
@@ -186,6 +203,7 @@ impl<'a, const N: usize> Watch<'a, N> {
             judged_blocks: 0,
             last_record_ns: now_ns,
             last_seen: false,
+            faults: FaultPlan::for_target(scenario, scenario::Role::Monitor, args.id),
         })
     }
 
@@ -230,8 +248,9 @@ impl<'a, const N: usize> Watch<'a, N> {
         let mut count = 0;
         while count < BATCH_MAX {
             let (tracker, last_seen) = (&mut self.tracker, &mut self.last_seen);
-            let recorder = &mut self.recorder;
+            let (recorder, faults) = (&mut self.recorder, &self.faults);
             let taken = self.records.take_with(|record| {
+                suffer(faults, record, tracker.last_tick());
                 *last_seen |= record.flags & record_flag::LAST != 0;
                 if let (Some(row), Some(recorder)) = (tracker.feed(record), recorder) {
                     recorder.tick(record, row);

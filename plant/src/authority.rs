@@ -7,6 +7,7 @@
 //! deadline has passed.
 
 use loopbound_shared::event::{Acceptance, Decision, HappeningKind, Refusal, ReplyKind};
+use loopbound_shared::law::faded;
 use loopbound_shared::sample::{
     Counters, HAPPENINGS_MAX, Happening, Links, RECEIPTS_MAX, Receipt, Torque, torque_flag,
 };
@@ -452,7 +453,7 @@ impl Authority {
         let old = old?;
         let mut tau = new.tau;
         for (new, old) in tau.iter_mut().zip(old.tau) {
-            *new = weight * *new + (1.0 - weight) * old;
+            *new = faded(weight, *new, old);
         }
         self.decision = Some(Decision::Blend);
         Some(applied(&new, tau, now_ns, self.epoch))

@@ -10,6 +10,7 @@
 use std::sync::atomic::Ordering;
 
 use loopbound_shared::clock;
+use loopbound_shared::fault::FaultActions;
 use loopbound_shared::realtime::EvidenceReader;
 use loopbound_shared::role;
 use loopbound_shared::sample::{State, TickRecord, record_flag, state_flag};
@@ -62,6 +63,7 @@ impl Times {
 pub(crate) fn run<const N: usize>(core: &mut PlantCore<N>, ports: &Ports, stopped: &dyn Fn() -> bool) {
     let mut evidence = EvidenceReader::open();
     let mut orders = Orders::default();
+    let mut suffering = Suffering::default();
     while !orders.start {
         if stopped() {
             return;
@@ -80,7 +82,14 @@ pub(crate) fn run<const N: usize>(core: &mut PlantCore<N>, ports: &Ports, stoppe
     let mut duty = Duty { awake_since_ns: clock::now_ns() };
     while !stopped() && orders.stop_at.is_none_or(|stop| tick < stop) {
         let wake_late_ns = duty.sleep_until(times.deadline_ns(tick) - times.lead_ns);
-        tick = one_tick(core, ports, &times, tick, wake_late_ns, &mut evidence, &mut orders) + 1;
+        let opened = open_tick(core, ports, &times, tick, wake_late_ns, &orders);
+        tick = opened.map_or_else(
+            |beyond| beyond,
+            |opened| {
+                one_tick(core, ports, &times, &opened, &mut suffering, &mut evidence, &mut orders);
+                opened.state.tick + 1
+            },
+        );
     }
     clock::sleep_until_ns(times.deadline_ns(tick));
     core.finish(clock::now_ns());
@@ -149,29 +158,33 @@ fn exchange<const N: usize>(core: &PlantCore<N>, ports: &Ports, deadline_ns: u64
     ports.torque_bell.wait(block, now_ns, now_ns + 300_000, &mut 0, || ports.torques.take());
 }
 
-/// One tick; returns the tick that was run or skipped last, which is later than `tick` after an overrun.
-fn one_tick<const N: usize>(
+/// A tick whose state is ready to be published.
+struct OpenTick {
+    state: State,
+    /// The longest gap seen while spinning to the deadline, ns.
+    gap_ns: u64,
+}
+
+/// Waits for the deadline and samples; the end of the run instead if an overrun passed it.
+fn open_tick<const N: usize>(
     core: &mut PlantCore<N>,
     ports: &Ports,
     times: &Times,
     tick: u64,
     wake_late_ns: u64,
-    evidence: &mut EvidenceReader,
-    orders: &mut Orders,
-) -> u64 {
-    let block = &ports.joined.block;
+    orders: &Orders,
+) -> Result<OpenTick, u64> {
     let mut gap_ns = 0;
     let joined_ns = prepare(core, ports);
     let sampled_ns = wait_for_deadline(ports, times.deadline_ns(tick), &mut gap_ns);
     // An overrun: the ticks whose end has passed are skipped and counted, never published.
     let skipped = (sampled_ns - times.deadline_ns(tick)) / times.period_ns;
     if let Some(stop) = orders.stop_at.filter(|stop| tick + skipped >= *stop) {
-        // The overrun passed the end of the run: no tick is left to open.
         core.count_skipped(stop - tick);
-        return stop - 1;
+        return Err(stop);
     }
     let tick = tick + skipped;
-    let mut state = core.open(Opening {
+    let state = core.open(Opening {
         tick,
         deadline_ns: times.deadline_ns(tick),
         sampled_ns,
@@ -182,19 +195,34 @@ fn one_tick<const N: usize>(
     if let Some(took_ns) = joined_ns {
         core.note_join(took_ns);
     }
-    suffer(core, ports, tick);
-    let published_ns = clock::now_ns();
-    let grace_deadline_ns = times.grace_deadline_ns(tick, published_ns);
+    Ok(OpenTick { state, gap_ns })
+}
+
+/// Publishes the state, waits for its torque, and does what the slack is for.
+fn one_tick<const N: usize>(
+    core: &mut PlantCore<N>,
+    ports: &Ports,
+    times: &Times,
+    opened: &OpenTick,
+    suffering: &mut Suffering,
+    evidence: &mut EvidenceReader,
+    orders: &mut Orders,
+) {
+    let block = &ports.joined.block;
+    let (mut state, mut gap_ns) = (opened.state, opened.gap_ns);
+    let tick = state.tick;
+    let faults = suffering.begin(core, ports, tick);
+    let now_ns = clock::now_ns();
+    let (published_ns, grace_deadline_ns) = (suffering.stamp_ns(now_ns), times.grace_deadline_ns(tick, now_ns));
     (state.published_ns, state.grace_deadline_ns) = (published_ns, grace_deadline_ns);
     core.stamp_published(published_ns, grace_deadline_ns);
-    ports.states.send(state);
+    suffering.publish(ports, &state, &faults);
     ports.state_bell.ring(block);
     block.pace().plant_tick.store(tick, Ordering::Release);
     await_torque(core, ports, times.cutoff_ns(tick), grace_deadline_ns, &mut gap_ns);
     publish_closed(core, ports);
     core.note_slack(evidence.read(), gap_ns, 0);
     ports.serve(core, orders);
-    tick
 }
 
 /// In the slack before the deadline: maps what joined (its time if it was long), takes what came late.
@@ -251,18 +279,49 @@ fn publish_closed<const N: usize>(core: &PlantCore<N>, ports: &Ports) {
     }
 }
 
-/// The plant's own injected faults.
-fn suffer<const N: usize>(core: &mut PlantCore<N>, ports: &Ports, tick: u64) {
-    let faults = ports.faults.at_tick(tick);
-    if !faults.any() {
-        return;
+/// The plant's own injected faults, and what of them lasts beyond a tick.
+#[derive(Default)]
+struct Suffering {
+    /// A state that is published after its successor.
+    kept_back: Option<State>,
+    clock_off_ns: i64,
+}
+
+impl Suffering {
+    /// The faults of a tick; those that take time or end it have struck on return.
+    fn begin<const N: usize>(&mut self, core: &mut PlantCore<N>, ports: &Ports, tick: u64) -> FaultActions {
+        let faults = ports.faults.at_tick(tick);
+        if faults.any() {
+            core.note_slack(core.evidence(), 0, record_flag::FAULT_INJECTED);
+            if faults.kill {
+                role::kill_self();
+            }
+            if faults.hang_ns > 0 || faults.delay_ns > 0 {
+                let now_ns = clock::now_ns();
+                clock::sleep_until_ns(now_ns.saturating_add(faults.hang_ns).saturating_add(faults.delay_ns));
+            }
+            self.clock_off_ns = self.clock_off_ns.saturating_add(faults.clock_step_ns);
+        }
+        faults
     }
-    core.note_slack(core.evidence(), 0, record_flag::FAULT_INJECTED);
-    if faults.kill {
-        role::kill_self();
+
+    /// The stamp of an instant by this process's clock, which a fault may have stepped.
+    fn stamp_ns(&self, now_ns: u64) -> u64 {
+        now_ns.saturating_add_signed(self.clock_off_ns)
     }
-    if faults.hang_ns > 0 || faults.delay_ns > 0 {
-        let now_ns = clock::now_ns();
-        clock::sleep_until_ns(now_ns.saturating_add(faults.hang_ns).saturating_add(faults.delay_ns));
+
+    fn publish(&mut self, ports: &Ports, state: &State, faults: &FaultActions) {
+        let kept_back = self.kept_back.take();
+        if faults.reorder {
+            self.kept_back = Some(*state);
+        } else if !faults.drop {
+            ports.states.send(*state);
+        }
+        if faults.duplicate {
+            ports.states.send(*state);
+        }
+        if let Some(older) = kept_back {
+            ports.states.send(older);
+        }
     }
 }

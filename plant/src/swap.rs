@@ -8,6 +8,7 @@ use std::collections::VecDeque;
 
 use loopbound_shared::chain::LINKS_MAX;
 use loopbound_shared::event::{HappeningKind, Refusal, ReplyKind};
+use loopbound_shared::law::fade_weight;
 use loopbound_shared::sample::{Command, Links, Reply};
 use loopbound_shared::scenario::Scenario;
 
@@ -121,9 +122,7 @@ impl Pending {
     /// The controller faded from and the weight of the new one, while a cross-fade lasts.
     pub(crate) fn blend(&self, tick: u64) -> Option<(u32, f64)> {
         let switch = self.last.filter(|s| tick < s.tick + s.blend_ticks)?;
-        #[expect(clippy::cast_precision_loss, reason = "a few thousand ticks at most")]
-        let weight = (tick - switch.tick + 1) as f64 / (switch.blend_ticks + 1) as f64;
-        Some((switch.from, weight))
+        Some((switch.from, fade_weight(tick - switch.tick, switch.blend_ticks)))
     }
 
     /// A failover supersedes the last switch: no fade from it, no way back by it.

@@ -198,11 +198,6 @@ impl FaultPlan {
         self.entries.is_empty()
     }
 
-    /// The kinds that occur, for a role that has to refuse those it does not know.
-    pub fn kinds(&self) -> impl Iterator<Item = FaultKind> + '_ {
-        self.entries.iter().map(|entry| entry.kind)
-    }
-
     /// What befalls the process in `tick`.
     #[must_use]
     pub fn at_tick(&self, tick: u64) -> FaultActions {

@@ -145,5 +145,20 @@ impl<const N: usize> Law<N> {
     }
 }
 
+/// Weight of the new law's torque in the tick `passed` (from 0) of a cross-fade over `ticks` ticks: 10 s³ − 15 s⁴ + 6 s⁵,
+/// whose rate and curvature are zero at both ends, so that the torque neither steps nor kinks there.
+#[must_use]
+#[expect(clippy::cast_precision_loss, reason = "a few thousand ticks at most")]
+pub fn fade_weight(passed: u64, ticks: u64) -> f64 {
+    let s = (passed + 1) as f64 / (ticks + 1) as f64;
+    s * s * s * (10.0 + s * (6.0 * s - 15.0))
+}
+
+/// One joint's torque in a cross-fade, N·m. Whoever computes it again gets the same bits.
+#[must_use]
+pub fn faded(weight: f64, new_nm: f64, old_nm: f64) -> f64 {
+    weight * new_nm + (1.0 - weight) * old_nm
+}
+
 #[cfg(test)]
 mod tests;

@@ -61,6 +61,15 @@ pub fn start<const N: usize>(scenario: &Scenario) -> Result<LawInput<N>, Scenari
     Ok(input(&state, &setpoint))
 }
 
+/// The start that the certificate of a law has to cover: that of the law which is in charge then. Any other law takes over
+/// later, from wherever the gate of the swap lets it in: inside its level.
+///
+/// # Errors
+/// If the scenario describes no system.
+pub fn start_of<const N: usize>(scenario: &Scenario, law: LawKind) -> Result<Option<LawInput<N>>, ScenarioError> {
+    if law == scenario.controller.law { start(scenario).map(Some) } else { Ok(None) }
+}
+
 /// State and setpoint as a law sees them.
 #[must_use]
 pub fn input<const N: usize>(state: &PlantState<N>, setpoint: &SetpointValue<N>) -> LawInput<N> {
@@ -72,7 +81,8 @@ pub fn input<const N: usize>(state: &PlantState<N>, setpoint: &SetpointValue<N>)
 /// # Errors
 /// If the scenario describes no system.
 pub fn certification<const N: usize>(scenario: &Scenario, law: LawKind) -> Result<Certification, ScenarioError> {
-    Ok(certify(law, &assumptions::<N>(scenario)?, &gains(scenario, law), Some(&start(scenario)?)))
+    let start = start_of(scenario, law)?;
+    Ok(certify(law, &assumptions::<N>(scenario)?, &gains(scenario, law), start.as_ref()))
 }
 
 /// The certificate alone.
@@ -81,8 +91,8 @@ pub fn certification<const N: usize>(scenario: &Scenario, law: LawKind) -> Resul
 /// If the scenario describes no system.
 pub fn certificate_of<const N: usize>(scenario: &Scenario, law: LawKind) -> Result<Certificate, ScenarioError> {
     let assumptions = assumptions::<N>(scenario)?;
-    let start = StartError::of(&assumptions.nominal, &start(scenario)?);
-    Ok(certificate(law, &assumptions.envelope(), &gains(scenario, law), Some(&start)))
+    let start = start_of(scenario, law)?.map(|start| StartError::of(&assumptions.nominal, &start));
+    Ok(certificate(law, &assumptions.envelope(), &gains(scenario, law), start.as_ref()))
 }
 
 /// A law with its model and the gains that its certificate gives it.

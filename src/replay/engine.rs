@@ -13,7 +13,7 @@ use loopbound_shared::chain::Vector;
 use loopbound_shared::event::{CommandKind, Decision, HappeningKind, Role};
 use loopbound_shared::fault::FaultPlan;
 use loopbound_shared::integrator::{PlantState, integrate};
-use loopbound_shared::law::{Law, LawInput, LawKind};
+use loopbound_shared::law::{Law, LawInput, LawKind, fade_weight, faded};
 use loopbound_shared::realtime::Privileges;
 use loopbound_shared::sample::{Announce, SEGMENTS_MAX, Segment, TickRecord, record_flag, to_links, to_vector};
 use loopbound_shared::scenario::{self, Scenario, ScenarioError};
@@ -197,10 +197,8 @@ impl<const N: usize> Engine<N> {
         }
         let fade = self.fade?;
         let old = self.law_torque(fade.from, answered)?;
-        #[expect(clippy::cast_precision_loss, reason = "a few thousand ticks at most")]
-        let weight = (answered.tick.checked_sub(fade.tick)? + 1) as f64 / (fade.ticks + 1) as f64;
-        // Term by term as in the plant, so that not one bit differs.
-        Some(Vector::from_fn(|i, _| weight * new[i] + (1.0 - weight) * old[i]))
+        let weight = fade_weight(answered.tick.checked_sub(fade.tick)?, fade.ticks);
+        Some(Vector::from_fn(|i, _| faded(weight, new[i], old[i])))
     }
 
     fn law_torque(&self, id: u32, answered: &Answered<N>) -> Option<Vector<N>> {

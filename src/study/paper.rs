@@ -95,35 +95,45 @@ pub fn table<const N: usize>(
     Ok(Table { rows: runs.into_iter().collect::<Result<_, ScenarioError>>()? })
 }
 
-/// `robust` with C1 from an eighth of what \[6] requires to eight times that, under noise and with limited actuators, at
-/// the study's rate and at four times that.
+/// `robust` with C1 from an eighth of what \[6] requires to eight times that, or to twice what \[11] allows if that is
+/// more, under noise and with limited actuators, at the study's rate and at four times that.
 ///
 /// # Errors
 /// If a scenario of the study describes no system.
 fn trade_off<const N: usize>(base: &Base, quick: bool) -> Result<Vec<TradeOff>, ScenarioError> {
+    let rate_hz = base.scenario.loop_.rate.0;
     let required = system::certificate_of::<N>(&base.scenario, LawKind::Robust)?.c1_required;
+    // The certificate's level, and with it κ, does not depend on C1.
+    let (_, boundary_nm) = at_boundary::<N>(&trade_off_scenario(base, rate_hz, required))?;
+    let (low, high) = (1.0 / 8.0, boundary_nm.map_or(8.0, |c1| (2.0 * c1 / required).max(8.0)));
     let steps = if quick { 13 } else { 25 };
-    let factors = (0..steps).map(|step| libm::exp2(6.0 * f64::from(step) / f64::from(steps - 1) - 3.0));
+    let factors =
+        (0..steps).map(|step| low * libm::exp2(libm::log2(high / low) * f64::from(step) / f64::from(steps - 1)));
     let points: Vec<(f64, f64)> = [1.0, 4.0]
         .iter()
-        .flat_map(|rate| factors.clone().map(move |factor| (rate * base.scenario.loop_.rate.0, factor * required)))
+        .flat_map(|rate| factors.clone().map(move |factor| (rate * rate_hz, factor * required)))
         .collect();
     let found = on_all_cores(&points, |&(rate_hz, c1_nm)| {
         let scenario = trade_off_scenario(base, rate_hz, c1_nm);
-        let certificate = system::certificate_of::<N>(&scenario, LawKind::Robust)?;
-        // [11] without delay: K_t at the boundary, and from it C1.
-        let used = sampling_budget(&certificate, scenario.period_ns() as f64 * 1e-9, 0.0).map(|budget| budget.used);
-        let left = used.map(|used| (certificate.k_t / used - certificate.k2 - certificate.kappa) / certificate.k3);
+        let (k_t, c1_at_boundary_nm) = at_boundary::<N>(&scenario)?;
         Ok(TradeOff {
             c1_nm,
             rate_hz,
-            k_t: certificate.k_t,
+            k_t,
             c1_required_nm: required,
-            c1_at_boundary_nm: left.filter(|left| *left > 0.0).map(f64::sqrt),
+            c1_at_boundary_nm,
             measured: measure::<N>(&scenario, 0)?,
         })
     });
     found.into_iter().collect()
+}
+
+/// K_t of a scenario, and the C1 at which \[11] without delay has no room left.
+fn at_boundary<const N: usize>(scenario: &Scenario) -> Result<(f64, Option<f64>), ScenarioError> {
+    let certificate = system::certificate_of::<N>(scenario, LawKind::Robust)?;
+    let used = sampling_budget(&certificate, scenario.period_ns() as f64 * 1e-9, 0.0).map(|budget| budget.used);
+    let left = used.map(|used| (certificate.k_t / used - certificate.k2 - certificate.kappa) / certificate.k3);
+    Ok((certificate.k_t, left.filter(|left| *left > 0.0).map(f64::sqrt)))
 }
 
 fn trade_off_scenario(base: &Base, rate_hz: f64, c1_nm: f64) -> Scenario {

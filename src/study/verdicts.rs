@@ -65,7 +65,11 @@ fn superiority(table: &Table, ctc: &str) -> Verdict {
     let (mut holds, mut slightly, mut fails) = (Vec::new(), Vec::new(), Vec::new());
     for case in table.cases() {
         let Some(ratio) = ratio(table, case, ctc) else { continue };
-        let text = format!("{} ({}×)", case.name(), short(ratio));
+        let text = match ratio {
+            lost if lost.is_infinite() => format!("{} (lost)", case.name()),
+            0.0 => format!("{} (robust is lost)", case.name()),
+            _ => format!("{} ({}×)", case.name(), short(ratio)),
+        };
         match ratio {
             much if much >= MUCH => holds.push(text),
             more if more > 1.0 => slightly.push(text),

@@ -4,7 +4,9 @@
 
 use std::path::PathBuf;
 
+use loopbound_shared::event::Acceptance;
 use loopbound_shared::group::Group;
+use loopbound_shared::sample::TickRecord;
 use loopbound_shared::scenario::Role;
 use serde::{Deserialize, Serialize};
 
@@ -31,7 +33,8 @@ pub struct Entry {
     pub id: u32,
     /// Its process id.
     pub pid: u32,
-    /// `starting`, `ready`, `active`, `standby`, `dead`, `ended`.
+    /// `starting`, `ready`, `active`, `standby`, `fenced` (it has failed, and nothing of it is applied until it shows itself
+    /// again), `silent` (a standby that did not answer the last tick), `dead`, `ended`.
     pub state: String,
     /// How often it was started again.
     pub restarts: u32,
@@ -59,8 +62,8 @@ impl RosterFile {
     }
 }
 
-/// The present roster; `active` is the controller in charge, 0 before the start.
-pub(super) fn roster(group: &str, children: &[Child], active: u32) -> Roster {
+/// The present roster; `active` is the controller in charge, 0 before the start, and `newest` the last closed tick.
+pub(super) fn roster(group: &str, children: &[Child], active: u32, newest: Option<&TickRecord>) -> Roster {
     let own = |state: &str| Entry {
         role: "supervisor".to_owned(),
         id: 0,
@@ -72,20 +75,54 @@ pub(super) fn roster(group: &str, children: &[Child], active: u32) -> Roster {
         role: child.process.role.to_string(),
         id: child.process.id,
         pid: child.pid,
-        state: state(child, active).to_owned(),
+        state: state(child, active, newest).to_owned(),
         restarts: child.restarts,
     };
     let processes = std::iter::once(own("ready")).chain(children.iter().map(entry)).collect();
     Roster { group: group.to_owned(), processes }
 }
 
-fn state(child: &Child, active: u32) -> &'static str {
+fn state(child: &Child, active: u32, newest: Option<&TickRecord>) -> &'static str {
     match (&child.ended, &child.announce) {
         (Some((status, _)), _) if status.success() => "ended",
         (Some(_), _) => "dead",
         (None, None) => "starting",
         (None, Some(_)) if child.process.role != Role::Controller => "ready",
         (None, Some(_)) if child.process.id == active => "active",
-        (None, Some(_)) => "standby",
+        (None, Some(_)) if !child.member => "ready",
+        (None, Some(_)) => newest.map_or("standby", |record| standing(child.process.id, record)),
+    }
+}
+
+/// What the receipts of a tick say of a controller that is not in charge.
+fn standing(id: u32, record: &TickRecord) -> &'static str {
+    let answer = record.receipts.iter().find(|receipt| receipt.writer == id);
+    match answer.and_then(|receipt| Acceptance::from_code(receipt.acceptance)) {
+        Some(Acceptance::Fenced | Acceptance::NotFinite | Acceptance::Malformed) => "fenced",
+        // A tick that the plant slept through says nothing of anybody.
+        None if record.receipts.iter().any(|receipt| receipt.writer == record.active) => "silent",
+        _ => "standby",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_controller_that_answers_well_is_called_a_standby() {
+        let mut record = TickRecord { active: 1, ..TickRecord::zeroed() };
+        assert_eq!(standing(2, &record), "standby", "an empty tick says nothing");
+        (record.receipts[0].writer, record.receipts[0].acceptance) = (1, Acceptance::Applied.code());
+        assert_eq!(standing(2, &record), "silent");
+        for (acceptance, state) in [
+            (Acceptance::Standby, "standby"),
+            (Acceptance::LateUnused, "standby"),
+            (Acceptance::Fenced, "fenced"),
+            (Acceptance::NotFinite, "fenced"),
+        ] {
+            (record.receipts[1].writer, record.receipts[1].acceptance) = (2, acceptance.code());
+            assert_eq!(standing(2, &record), state, "{acceptance:?}");
+        }
     }
 }

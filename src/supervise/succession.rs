@@ -2,6 +2,7 @@
 //!
 //! A controller's number is never given twice: what a dead one may still have under way is of a stranger.
 
+use loopbound_shared::cast;
 use loopbound_shared::clock;
 use loopbound_shared::event::CommandKind;
 use loopbound_shared::realtime::{priority, set_priority};
@@ -102,6 +103,19 @@ impl Supervisor<'_> {
     /// `id` has been replaced: it stays as a standby for `after_ns`.
     pub(super) fn plan_retirement(&mut self, id: u32, after_ns: u64) {
         self.retirements.push(Retirement { id, at_ns: clock::now_ns().saturating_add(after_ns), insist: false });
+    }
+
+    /// Authority went from `from` to `to`: if the scenario had scheduled that, `from` is replaced for good, unless a later
+    /// swap goes back to it. In lockstep it stays: when it would go depends on the machine.
+    pub(super) fn retire_after_scheduled(&mut self, from: u32, to: u32) {
+        let own = self.scenario.controller.standby + 1;
+        let cast = u32::try_from(cast::controllers(self.scenario).len()).unwrap_or(u32::MAX);
+        let scheduled = (own + 1..=cast).contains(&to);
+        let needed = self.scenario.swap.iter().any(|swap| swap.to == Some(from));
+        let lives = self.controllers().any(|c| c.process.id == from && c.lives());
+        if scheduled && lives && !needed && !self.lockstep() {
+            self.plan_retirement(from, self.scenario.swap_gate.retire_after.ns());
+        }
     }
 
     /// `id` was refused: it goes at the next look, or when it has lost the authority that a failover gave it.

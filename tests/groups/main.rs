@@ -9,6 +9,7 @@ mod harness;
 
 mod attached;
 mod deaths;
+mod faults;
 mod lockstep;
 mod realtime;
 mod recording;

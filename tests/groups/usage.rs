@@ -36,6 +36,11 @@ fn a_scenario_that_can_not_be_run_is_refused_in_one_line_and_starts_nothing() {
         ("[controller]\nstandby = 99\n", &["standby"]),
         ("[[fault]]\nkind = \"kil\"\n", &["kil", "kill"]),
         ("[[fault]]\nkind = \"drop\"\nprobability = 2\n", &["probability"]),
+        ("[[fault]]\nkind = \"clock-step\"\ntarget = \"monitor\"\nstep = \"1ms\"\n", &["fault[0].target", "monitor"]),
+        (
+            "[loop]\nmode = \"lockstep\"\n[[fault]]\nkind = \"drop\"\ntarget = \"plant\"\n",
+            &["fault[0].target", "plant", "realtime"],
+        ),
         ("[[swap]]\nat = \"1s\"\n", &["swap"]),
         ("[loop\nrate = 1", &["scenario.toml"]),
     ];

@@ -209,9 +209,9 @@ fn force_skips_the_gate_and_not_the_safety_checks() {
 }
 
 #[test]
-fn a_cross_fade_moves_in_equal_steps_from_the_old_torque_to_the_new() {
+fn a_cross_fade_moves_smoothly_from_the_old_torque_to_the_new() {
     let mut bench = Bench::new(|rules| rules.torque_step_nm = 0.0);
-    bench.tau = [10.0, 18.0];
+    bench.tau = [0.0, 1024.0];
     bench.ask(40, 3, false);
     bench.run(40);
     let mut acted = Vec::new();
@@ -219,7 +219,25 @@ fn a_cross_fade_moves_in_equal_steps_from_the_old_torque_to_the_new() {
         bench.run(1);
         acted.push(bench.acted);
     }
-    assert_eq!(acted, [12.0, 14.0, 16.0, 18.0, 18.0].map(|tau| Some((2, tau))), "weights 1/4, 2/4, 3/4, 1");
+    // 10 x³ − 15 x⁴ + 6 x⁵ at quarters.
+    assert_eq!(acted, [106.0, 512.0, 918.0, 1024.0, 1024.0].map(|tau| Some((2, tau))));
+}
+
+#[test]
+fn a_long_cross_fade_begins_and_ends_without_a_step() {
+    let mut bench = Bench::new(|_| {});
+    bench.tau = [0.0, 1.0];
+    bench.ask(40, 20, false);
+    bench.run(39);
+    let mut acted = vec![0.0];
+    for _ in 0..22 {
+        bench.run(1);
+        acted.extend(bench.acted.map(|(_, tau)| tau));
+    }
+    let steps: Vec<f64> = acted.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let (first, last) = (steps.iter().copied().find(|step| *step > 0.0), steps.iter().copied().rfind(|s| *s > 0.0));
+    assert!(first.is_some_and(|step| step < 0.0011) && last.is_some_and(|step| step < 0.0011), "{steps:?}");
+    assert!(steps.iter().all(|step| (0.0..1.9 / 21.0).contains(step)), "{steps:?}");
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use super::physics::check_applicable;
 use super::{finite, positive, refuse, require};
 use crate::scenario::error::ScenarioError;
-use crate::scenario::names::{Distribution, FaultKind, Role};
+use crate::scenario::names::{Distribution, FaultKind, Mode, Role};
 use crate::scenario::{FaultSpec, Scenario, SwapSpec, When};
 
 pub(super) fn check(scenario: &Scenario) -> Result<(), ScenarioError> {
@@ -11,7 +11,8 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), ScenarioError> {
         check_swap(index, swap)?;
     }
     let links = scenario.links();
-    scenario.fault.iter().enumerate().try_for_each(|(index, fault)| check_fault(index, fault, links))
+    let lockstep = scenario.loop_.mode == Mode::Lockstep;
+    scenario.fault.iter().enumerate().try_for_each(|(index, fault)| check_fault(index, fault, links, lockstep))
 }
 
 fn check_swap(index: usize, swap: &SwapSpec) -> Result<(), ScenarioError> {
@@ -25,6 +26,7 @@ fn check_swap(index: usize, swap: &SwapSpec) -> Result<(), ScenarioError> {
 fn shape(kind: FaultKind) -> (&'static [Role], &'static [&'static str], &'static [&'static str]) {
     use Role::{Controller, Monitor, Plant, Reference};
     const EVERYONE: &[Role] = &[Reference, Controller, Plant, Monitor];
+    // A monitor stamps nothing.
     const WRITERS: &[Role] = &[Reference, Controller, Plant];
     match kind {
         FaultKind::Kill | FaultKind::Hang => (EVERYONE, &[], &[]),
@@ -34,12 +36,12 @@ fn shape(kind: FaultKind) -> (&'static [Role], &'static [&'static str], &'static
         FaultKind::Glitch => (&[Controller], &["value_nm"], &["joint"]),
         FaultKind::Late => (&[Controller], &[], &["delay"]),
         FaultKind::StaleSetpoint => (&[Reference], &[], &[]),
-        FaultKind::ClockStep => (EVERYONE, &["step"], &[]),
+        FaultKind::ClockStep => (WRITERS, &["step"], &[]),
         FaultKind::Rogue => (&[Controller], &[], &["value_nm"]),
     }
 }
 
-fn check_fault(index: usize, fault: &FaultSpec, links: usize) -> Result<(), ScenarioError> {
+fn check_fault(index: usize, fault: &FaultSpec, links: usize, lockstep: bool) -> Result<(), ScenarioError> {
     let section = format!("fault[{index}]");
     let key = |name: &str| format!("{section}.{name}");
     let (roles, required, optional) = shape(fault.kind);
@@ -50,6 +52,14 @@ fn check_fault(index: usize, fault: &FaultSpec, links: usize) -> Result<(), Scen
         key("target"),
         target,
         format_args!("{allowed} for kind \"{}\"", fault.kind),
+    )?;
+    // In virtual time every member waits for every state: one can't be late, lost or doubled.
+    let of_states = target.role == Role::Plant && !matches!(fault.kind, FaultKind::Kill | FaultKind::Hang);
+    require(
+        !(lockstep && of_states),
+        key("target"),
+        target,
+        format_args!("kill or hang of the plant in lockstep; kind \"{}\" of it needs realtime", fault.kind),
     )?;
     let written = [
         ("delay", fault.delay.is_some()),
