@@ -1,7 +1,5 @@
 //! Swaps between three laws in one group: every other one with a cross-fade.
 
-use serde_json::Value;
-
 use crate::live::{Live, spread};
 use crate::trace::Trace;
 

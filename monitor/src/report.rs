@@ -51,7 +51,7 @@ pub fn read_run(folder: &Path) -> io::Result<Run> {
     let summary: Value = serde_json::from_slice(&text).map_err(|e| named("summary.json", e.into()))?;
     let links = summary["links"].as_u64().and_then(|n| usize::try_from(n).ok()).unwrap_or(0).min(7);
     let (events, events_left_out) = read_events(&folder.join("events.jsonl"))?;
-    let mut series = Decimated::new(4 * links + 4);
+    let mut series = Decimated::new(4 * links + 5);
     let recording = match read_series(&folder.join("samples.mcap"), links, &mut series) {
         Ok(false) => "whole".to_owned(),
         Ok(true) => "cut off".to_owned(),
@@ -110,7 +110,9 @@ fn push(series: &mut Decimated, links: usize, record: &TickRecord, figures: &Fig
     let vectors = vectors.into_iter().flat_map(|values| values.iter().take(links).map(|value| Some(*value)));
     let receipt = accepted(record);
     let trip_ns = Hop::RoundTrip.stamps(record, receipt).and_then(|(from_ns, to_ns)| to_ns.checked_sub(from_ns));
-    let scalars = [Some(figures.v), Some(figures.promised), Some(figures.level), trip_ns.map(|ns| ns as f64 * 1e-3)];
+    let slack = figures.promised - figures.v;
+    let trip_us = trip_ns.map(|ns| ns as f64 * 1e-3);
+    let scalars = [Some(figures.v), Some(figures.promised), Some(figures.level), trip_us, Some(slack)];
     series.push(record.start_plant_ns as f64 * 1e-9, vectors.chain(scalars));
 }
 
@@ -151,7 +153,7 @@ mod tests {
             summary: json!({"verdict": {"status": "held", "reasons": ["</script><b>"]}}),
             events: Vec::new(),
             events_left_out: 0,
-            series: Decimated::new(4),
+            series: Decimated::new(5),
             recording: "whole".into(),
             percentiles: Vec::new(),
         }

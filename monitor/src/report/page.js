@@ -275,6 +275,14 @@ function bound(run, at) {
     add(at, table(['tick', 't, s', 'found', 'why'], rows));
   } else add(at, `<p class="note">${run.summary.bound?.certified ? 'V kept both bounds in every tick that was checked.' : 'Nothing is certified here: V is shown without bounds.'}</p>`);
 }
+function slack(run, at) {
+  const b = run.summary.bound ?? {};
+  if (b.slack_min == null) { add(at, '<p class="note">Nothing was promised here.</p>'); return; }
+  const line = { name: 'promised V − V', at: 4 * (run.summary.links ?? 0) + 4, colour: colour(2) };
+  at.append(overTime(run, { unit: 'log', lines: [line], marks: marksOf(run), yLog: true, height: 160 }));
+  const most = b.epsilon == null ? '' : `; ε h = ${number(b.epsilon / run.summary.rate_hz, 3)} is what the worst uncertainty may add in a tick`;
+  add(at, `<p class="note">Least ${number(b.slack_min, 3)}, mean ${number(b.slack_mean, 3)} a tick${most}.</p>`);
+}
 function latency(run, at) {
   add(at, legend(HOPS.map((hop, i) => ({ name: hop.replace(/_/g, ' '), colour: colour(i) }))));
   at.append(percentileChart(run));
@@ -321,6 +329,7 @@ section('Tracking', 'Angles of the links from the downward vertical; dashed: whe
 section('Tracking error', '', errors);
 section('Torque', 'As it acted at the end of each tick.', torques);
 section('V against its bounds', 'A certified loop that starts below c stays below it, and V falls at least as fast as promised, tick by tick. Red dots: a bound was broken.', bound);
+section('Slack of the promise', 'How far below its promise V stayed in each tick: how conservative the bound is.', slack);
 section('Latency, by hop', 'Log axes: each step to the right is one more nine.', latency);
 section('Round trip over the run', '', trips);
 section('Late and missed ticks, by cause', 'Height: from the deadline to the torque, or how long the delay was. Causes come from evidence, never from guesses.', late);
