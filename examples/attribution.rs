@@ -1,163 +1,260 @@
-//! Is the cause that a late tick gets the true one? Injects each cause in a run of its own and prints the confusion
-//! matrix: rows are what was injected, columns what the monitor found.
+//! Is the cause that a late tick gets the true one? Injects each cause in a run of its own, writes down when it struck,
+//! and prints the confusion matrix: rows are what was injected, columns what the monitor said.
 //!
 //! ```text
 //! cargo build --release --examples && cargo build --release && cargo run --release --example attribution
 //! ```
 //!
-//! Only the ticks that were struck count where they are known: the page fault, the overrun and the delay come in every
-//! 50th. For the others all late and missed ticks of the run count, the host's own among them.
+//! The truth comes from the injector, by the clock that the loop is stamped with, and never from the run's own evidence. A
+//! late or missed tick belongs to an injection if it was struck: the injector was at work between the instant at which
+//! the plant wakes for the tick and the end of that tick. All others of the run are counted as "not struck": they are the
+//! host's, and nobody knows their true cause.
 
 use std::collections::BTreeMap;
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 
+use anyhow::Context as _;
+use loopbound_monitor::cause::Cause;
+use loopbound_monitor::recording::reader::{Item, Recording};
 use loopbound_shared::clock;
+use loopbound_shared::group::Group;
+use loopbound_shared::ports::Node;
 use loopbound_shared::realtime::{ProcessHandle, Signal, set_priority};
+use loopbound_shared::sample::{Announce, TickRecord};
+use loopbound_shared::topics::Topic as _;
 use serde_json::Value;
 
 /// What is injected, and the causes that are right for it.
-const CASES: [(&str, &[&str]); 6] = [
-    ("busy process", &["run_queue_delay", "involuntary_switch"]),
-    ("page fault", &["page_fault"]),
-    ("overrunning law", &["own_overrun"]),
-    ("delayed controller", &["injected_fault"]),
-    ("stopped controller", &["controller_dead", "controller_late"]),
-    ("joining monitors", &["monitor_joined"]),
+const CASES: [(&str, &[Cause]); 6] = [
+    ("busy processes", &[Cause::RunQueueDelay, Cause::InvoluntarySwitch]),
+    ("faulting law", &[Cause::PageFault]),
+    ("overrunning law", &[Cause::OwnOverrun]),
+    ("delayed controller", &[Cause::InjectedFault]),
+    ("stopped controller", &[Cause::ControllerDead, Cause::ControllerLate]),
+    ("joining monitors", &[Cause::MonitorJoined]),
 ];
+/// The law that misbehaves and the injected delay strike every so many ticks.
+const EVERY: u64 = 50;
+/// Of a run; the first second and the last are left alone.
+const RUN_S: u64 = 12;
+const CALM_NS: u64 = 1_500_000_000;
+const STRIKE_NS: u64 = 9_000_000_000;
 
-/// How long the disturbance goes on.
-const BUSY_NS: u64 = 3_000_000_000;
+/// When an injector was at work, ns of the monotonic clock.
+type Struck = Vec<(u64, u64)>;
 
 fn beside(name: &str) -> std::io::Result<PathBuf> {
     let own = std::env::current_exe()?;
     Ok(own.parent().unwrap_or(Path::new(".")).join(name))
 }
 
-/// A controller's process id, from the launcher's roster.
-fn controller_pid(executable: &Path, group: &str) -> Option<u32> {
-    let output = Command::new(executable).args(["ps", "--json"]).output().ok()?;
-    let groups: Value = serde_json::from_slice(&output.stdout).ok()?;
-    let group = groups.as_array()?.iter().find(|entry| entry["group"] == group)?;
-    let found = group["processes"].as_array()?.iter().find(|process| process["role"] == "controller")?;
-    u32::try_from(found["pid"].as_u64()?).ok()
-}
-
-/// Bursts of 900 µs at a higher real-time priority than the loop's, for so long; run as a process of its own.
+/// Bursts of 900 µs at a higher real-time priority than the loop's, each said on standard output; run as a process of its own.
 fn burst(ns: u64) -> anyhow::Result<()> {
     set_priority(std::process::id(), 95)?;
-    let until_ns = clock::now_ns() + ns;
+    let (until_ns, mut struck) = (clock::now_ns() + ns, Struck::new());
     while clock::now_ns() < until_ns {
-        let burst_end_ns = clock::now_ns() + 900_000;
-        while clock::now_ns() < burst_end_ns {
+        let from_ns = clock::now_ns();
+        while clock::now_ns() < from_ns + 900_000 {
             std::hint::spin_loop();
         }
+        struck.push((from_ns, clock::now_ns()));
         clock::sleep_until_ns(clock::now_ns() + 9_100_000);
     }
+    struck.iter().for_each(|(from_ns, to_ns)| println!("{from_ns} {to_ns}"));
     Ok(())
+}
+
+/// Lines of two instants each.
+fn instants(text: &str) -> anyhow::Result<Struck> {
+    let pair = |line: &str| {
+        let (from_ns, to_ns) = line.split_once(' ').context("two instants")?;
+        Ok((from_ns.parse()?, to_ns.parse()?))
+    };
+    text.lines().map(pair).collect()
 }
 
 /// Two of them, so that both cores of a small machine are taken.
-fn keep_busy() -> anyhow::Result<()> {
-    let start = || Command::new(std::env::current_exe()?).arg("--burst").spawn();
-    let children = [start()?, start()?];
+fn keep_busy() -> anyhow::Result<Struck> {
+    let start = || Command::new(std::env::current_exe()?).arg("--burst").stdout(Stdio::piped()).spawn();
+    let mut struck = Struck::new();
+    let children: [Child; 2] = [start()?, start()?];
     for mut child in children {
+        let mut said = String::new();
+        child.stdout.take().context("its output")?.read_to_string(&mut said)?;
+        struck.extend(instants(&said)?);
         anyhow::ensure!(child.wait()?.success(), "the busy process needs SCHED_FIFO");
     }
-    Ok(())
+    Ok(struck)
 }
 
-fn disturb(case: usize, executable: &Path, group: &str) -> anyhow::Result<()> {
-    clock::sleep_until_ns(clock::now_ns() + 1_000_000_000);
-    let until_ns = clock::now_ns() + BUSY_NS;
-    match CASES[case].0 {
-        "busy process" => keep_busy()?,
-        "stopped controller" => {
-            let Some(pid) = controller_pid(executable, group) else { anyhow::bail!("no controller in {group}") };
-            let handle = ProcessHandle::open(pid)?;
-            while clock::now_ns() < until_ns {
-                handle.signal(Signal::STOP)?;
-                clock::sleep_until_ns(clock::now_ns() + 20_000_000);
-                handle.signal(Signal::CONT)?;
-                clock::sleep_until_ns(clock::now_ns() + 200_000_000);
-            }
-        }
-        "joining monitors" => {
-            while clock::now_ns() < until_ns {
-                let mut command = Command::new(executable);
-                command.args(["monitor", "--group", group, "--json", "--duration", "50ms"]);
-                command.stdout(Stdio::null()).stderr(Stdio::null()).status()?;
-            }
-        }
-        _ => {}
+/// Stops the controller for 20 ms again and again.
+fn stop_and_go(executable: &Path, group: &str) -> anyhow::Result<Struck> {
+    let output = Command::new(executable).args(["ps", "--json"]).output()?;
+    let groups: Value = serde_json::from_slice(&output.stdout)?;
+    let group = groups.as_array().into_iter().flatten().find(|entry| entry["group"] == group).context("the group")?;
+    let found = group["processes"].as_array().into_iter().flatten().find(|process| process["role"] == "controller");
+    let pid = found.and_then(|process| process["pid"].as_u64()).context("a controller")?;
+    let handle = ProcessHandle::open(u32::try_from(pid)?)?;
+    let (until_ns, mut struck) = (clock::now_ns() + STRIKE_NS, Struck::new());
+    while clock::now_ns() < until_ns {
+        let from_ns = clock::now_ns();
+        handle.signal(Signal::STOP)?;
+        clock::sleep_until_ns(clock::now_ns() + 20_000_000);
+        handle.signal(Signal::CONT)?;
+        struck.push((from_ns, clock::now_ns()));
+        clock::sleep_until_ns(clock::now_ns() + 200_000_000);
     }
-    Ok(())
+    Ok(struck)
+}
+
+/// Joins with the ports of a monitor again and again; the plant maps them within three ticks.
+fn join_and_leave(group: &str, period_ns: u64) -> anyhow::Result<Struck> {
+    let node = Node::open(&Group::join(group)?)?;
+    let (until_ns, mut struck) = (clock::now_ns() + STRIKE_NS, Struck::new());
+    while clock::now_ns() < until_ns {
+        let from_ns = clock::now_ns();
+        let ports = (
+            node.subscriber::<TickRecord>(TickRecord::DEPTH)?,
+            node.subscriber::<Announce>(Announce::DEPTH)?,
+            node.publisher::<Announce>()?,
+        );
+        struck.push((from_ns, clock::now_ns() + 3 * period_ns));
+        clock::sleep_until_ns(clock::now_ns() + 30_000_000);
+        let from_ns = clock::now_ns();
+        drop(ports);
+        // What has left is unmapped as well.
+        struck.push((from_ns, clock::now_ns() + 3 * period_ns));
+        clock::sleep_until_ns(clock::now_ns() + 30_000_000);
+    }
+    Ok(struck)
+}
+
+/// Injects until the run is about over. None: it strikes in every [`EVERY`]th tick.
+fn inject(case: usize, executable: &Path, group: &str) -> anyhow::Result<Option<Struck>> {
+    clock::sleep_until_ns(clock::now_ns() + CALM_NS);
+    Ok(match CASES[case].0 {
+        "busy processes" => Some(keep_busy()?),
+        "stopped controller" => Some(stop_and_go(executable, group)?),
+        "joining monitors" => Some(join_and_leave(group, 200_000)?),
+        _ => None,
+    })
 }
 
 fn scenario(case: usize) -> anyhow::Result<String> {
-    let base = "[loop]\nduration = \"5s\"\n".to_owned();
+    let base = format!("[loop]\nduration = \"{RUN_S}s\"\n");
     Ok(match CASES[case].0 {
         // Locked memory has no faults, which is what locking is for.
-        "page fault" | "overrunning law" => {
-            let exe = beside("misbehaving")?;
-            format!("{base}[controller]\nexe = {exe:?}\n[realtime]\nlock_memory = false\n")
+        "faulting law" => {
+            format!("{base}[controller]\nexe = {:?}\n[realtime]\nlock_memory = false\n", beside("misbehaving")?)
         }
+        "overrunning law" => format!("{base}[controller]\nexe = {:?}\n", beside("misbehaving")?),
         // At 1 kHz a mapping fits into the slack and makes no tick late.
         "joining monitors" => format!("{base}rate = \"5kHz\"\n"),
         "delayed controller" => format!(
-            "{base}[[fault]]\nkind = \"delay\"\ntarget = \"controller:1\"\nat = \"1s\"\nevery = \"50ms\"\ndelay = \"700us\"\n"
+            "{base}[[fault]]\nkind = \"delay\"\ntarget = \"controller:1\"\nat = \"1s\"\nevery = \"{EVERY}ms\"\ndelay = \"700us\"\n"
         ),
         _ => base,
     })
 }
 
-/// Late and missed ticks of a run, each once, by cause.
-fn causes(folder: &Path, every: u64) -> anyhow::Result<BTreeMap<String, u64>> {
-    let mut by_tick: BTreeMap<u64, String> = BTreeMap::new();
+/// A late tick, or missed ones in a row.
+struct Disturbed {
+    ticks: u64,
+    cause: String,
+    /// The plant slept through them: no controller ever saw them.
+    skipped: bool,
+}
+
+/// Late and missed ticks of a run past its beginning, by their number, each once.
+fn disturbed(folder: &Path) -> anyhow::Result<BTreeMap<u64, Disturbed>> {
+    let mut found = BTreeMap::new();
     for line in std::fs::read_to_string(folder.join("events.jsonl"))?.lines() {
         let event: Value = serde_json::from_str(line)?;
-        // The disturbance begins a second after the start.
-        if event["t_s"].as_f64().is_some_and(|t_s| t_s < 0.5) {
-            continue;
-        }
-        if let (Some(tick), Some(cause)) = (event["tick"].as_u64(), event["cause"].as_str())
-            && tick.is_multiple_of(every)
-        {
-            by_tick.insert(tick, cause.to_owned());
+        let past = event["t_s"].as_f64().is_some_and(|t_s| t_s > 0.5);
+        if let (true, Some(tick), Some(cause)) = (past, event["tick"].as_u64(), event["cause"].as_str()) {
+            let (ticks, skipped) = (event["ticks"].as_u64().unwrap_or(1), event["decision"] == "skipped");
+            found.insert(tick, Disturbed { ticks, cause: cause.to_owned(), skipped });
         }
     }
-    let mut counts = BTreeMap::new();
-    by_tick.into_values().for_each(|cause| *counts.entry(cause).or_insert(0) += 1);
+    Ok(found)
+}
+
+/// t_0 and the period, ns, from the recording.
+fn timing(folder: &Path) -> anyhow::Result<(u64, u64)> {
+    let mut recording = Recording::open(&folder.join("samples.mcap"))?;
+    let mut first = None;
+    while let Some(item) = recording.next_item()? {
+        let Item::Record(record) = item else { continue };
+        match first {
+            None => first = Some((record.tick, record.deadline_ns)),
+            Some((tick, deadline_ns)) if record.tick > tick => {
+                let period_ns = (record.deadline_ns - deadline_ns) / (record.tick - tick);
+                return Ok((deadline_ns - tick * period_ns, period_ns));
+            }
+            Some(_) => {}
+        }
+    }
+    anyhow::bail!("fewer than two ticks were recorded")
+}
+
+/// One run: ticks by cause, those that were struck and those that were not.
+fn run(case: usize, executable: &Path, folder: &Path) -> anyhow::Result<[BTreeMap<String, u64>; 2]> {
+    let group = format!("attribution-{}-{case}", std::process::id());
+    let file = folder.join("injected.toml");
+    std::fs::write(&file, scenario(case)?)?;
+    let mut command = Command::new(executable);
+    command.arg("run").arg(&file).args(["--quiet", "--group", &group, "--out"]).arg(folder);
+    let log = folder.join("struck");
+    command.env("MISBEHAVE", if CASES[case].0.contains("faulting") { "page_fault" } else { "overrun" });
+    command.env("MISBEHAVE_LOG", &log);
+    let mut launcher = command.stdout(Stdio::null()).spawn()?;
+    let struck = inject(case, executable, &group)?;
+    launcher.wait()?;
+    let struck = if CASES[case].0.contains("law") { Some(instants(&std::fs::read_to_string(&log)?)?) } else { struck };
+    let (t_0_ns, period_ns) = timing(folder)?;
+    let wakes_early_ns = (period_ns / 4).min(250_000);
+    let mut counts = [BTreeMap::new(), BTreeMap::new()];
+    for (tick, Disturbed { ticks, cause, skipped }) in disturbed(folder)? {
+        let deadline_ns = t_0_ns + tick * period_ns;
+        let (from_ns, to_ns) = (deadline_ns - wakes_early_ns, deadline_ns + ticks * period_ns);
+        let hit = match &struck {
+            Some(struck) => struck.iter().any(|(begin_ns, end_ns)| *begin_ns < to_ns && *end_ns > from_ns),
+            None => !skipped && tick.is_multiple_of(EVERY),
+        };
+        *counts[usize::from(!hit)].entry(cause).or_insert(0) += ticks;
+    }
     Ok(counts)
 }
 
 fn main() -> anyhow::Result<()> {
     if std::env::args().any(|arg| arg == "--burst") {
-        return burst(BUSY_NS);
+        return burst(STRIKE_NS);
     }
     let examples = beside("")?;
     let executable = examples.parent().unwrap_or(Path::new(".")).join("loopbound");
-    let folder = std::env::temp_dir().join(format!("loopbound-attribution-{}", std::process::id()));
-    std::fs::create_dir_all(&folder)?;
+    // The files of the last case stay there if a folder is named.
+    let temporary = tempfile::tempdir()?;
+    let named = std::env::args().nth(1).map(PathBuf::from);
+    let folder = named.as_deref().unwrap_or(temporary.path());
+    std::fs::create_dir_all(folder)?;
+    let mut not_struck = Vec::new();
+    let head: Vec<&str> = Cause::ALL.iter().map(|cause| cause.name()).collect();
+    println!("| injected | ticks | right | {} |", head.join(" | "));
+    println!("|---|---|---|{}", "---|".repeat(head.len()));
+    let row = |name: &str, right: &str, counts: &BTreeMap<String, u64>| {
+        let cells: Vec<String> =
+            head.iter().map(|cause| counts.get(*cause).map_or_else(String::new, u64::to_string)).collect();
+        println!("| {name} | {} | {right} | {} |", counts.values().sum::<u64>(), cells.join(" | "));
+    };
     for (case, (name, right)) in CASES.iter().enumerate() {
-        let group = format!("attribution-{}-{case}", std::process::id());
-        let file = folder.join("injected.toml");
-        std::fs::write(&file, scenario(case)?)?;
-        let mut command = Command::new(&executable);
-        command.arg("run").arg(&file).args(["--quiet", "--group", &group, "--out"]).arg(&folder);
-        command.env("MISBEHAVE", if *name == "page fault" { "page_fault" } else { "overrun" });
-        let mut launcher = command.stdout(Stdio::null()).spawn()?;
-        disturb(case, &executable, &group)?;
-        launcher.wait()?;
-        let every = if matches!(*name, "page fault" | "overrunning law" | "delayed controller") { 50 } else { 1 };
-        let counts = causes(&folder, every)?;
-        let all: u64 = counts.values().sum();
-        let hit: u64 = counts.iter().filter(|(cause, _)| right.contains(&cause.as_str())).map(|(_, n)| n).sum();
-        let share = if all > 0 { 100.0 * hit as f64 / all as f64 } else { 0.0 };
-        let unknown = counts.get("unknown").copied().unwrap_or(0);
-        let listed: Vec<String> = counts.iter().map(|(cause, n)| format!("{n} {cause}")).collect();
-        println!("{name:<20}{all:>5} ticks, {share:>5.1} % right, {unknown} unknown: {}", listed.join(", "));
+        let [struck, others] = run(case, &executable, folder)?;
+        let all: u64 = struck.values().sum();
+        let hit: u64 = right.iter().filter_map(|cause| struck.get(cause.name())).sum();
+        row(name, &format!("{:.1} %", 100.0 * hit as f64 / all.max(1) as f64), &struck);
+        not_struck.push((format!("not struck: {name}"), others));
     }
-    std::fs::remove_dir_all(&folder)?;
+    not_struck.iter().for_each(|(name, others)| row(name, "", others));
     Ok(())
 }

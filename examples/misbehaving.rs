@@ -1,5 +1,7 @@
 //! A controller that does one thing wrong in every 50th tick, for `attribution`: `MISBEHAVE=overrun` computes for 700 µs,
-//! `MISBEHAVE=page_fault` touches memory that it has never touched.
+//! `MISBEHAVE=page_fault` touches memory that it has never touched. When it did is in the file `MISBEHAVE_LOG` at the end.
+
+use std::sync::{Arc, Mutex};
 
 use loopbound_controller::{Controller, Input, parse_args, serve};
 use loopbound_shared::clock;
@@ -13,8 +15,12 @@ const BYTES: usize = 48 << 20;
 const EVERY: u64 = 50;
 const OVERRUN_NS: u64 = 700_000;
 
+/// Strikes that are remembered: there is room from the start, so that the list makes no fault of its own.
+const STRIKES_MAX: usize = 100_000;
+
 struct Misbehaving {
     faults: bool,
+    struck: Arc<Mutex<Vec<(u64, u64)>>>,
 }
 
 impl Controller for Misbehaving {
@@ -24,6 +30,7 @@ impl Controller for Misbehaving {
 
     fn torque(&mut self, input: &Input<'_>, tau: &mut [f64]) {
         let strikes = input.tick.is_multiple_of(EVERY) && input.tick > 0;
+        let from_ns = clock::now_ns();
         if strikes && self.faults {
             let mut memory = vec![0u8; BYTES];
             memory.iter_mut().step_by(PAGE_BYTES).take(PAGES).for_each(|byte| *byte = 1);
@@ -34,6 +41,9 @@ impl Controller for Misbehaving {
                 std::hint::spin_loop();
             }
         }
+        if strikes && let Ok(mut struck) = self.struck.lock() {
+            struck.push((from_ns, clock::now_ns()));
+        }
         for (link, torque) in tau.iter_mut().enumerate() {
             *torque = 40.0 * (input.q_d[link] - input.q[link]) + 12.0 * (input.v_d[link] - input.v[link]);
         }
@@ -43,5 +53,11 @@ impl Controller for Misbehaving {
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args = parse_args(std::env::args())?;
     let faults = std::env::var("MISBEHAVE").is_ok_and(|what| what == "page_fault");
-    Ok(serve(Misbehaving { faults }, &args)?)
+    let struck = Arc::new(Mutex::new(Vec::with_capacity(STRIKES_MAX)));
+    serve(Misbehaving { faults, struck: Arc::clone(&struck) }, &args)?;
+    if let (Some(path), Ok(struck)) = (std::env::var_os("MISBEHAVE_LOG"), struck.lock()) {
+        let lines: String = struck.iter().map(|(from_ns, to_ns)| format!("{from_ns} {to_ns}\n")).collect();
+        std::fs::write(path, lines)?;
+    }
+    Ok(())
 }

@@ -45,6 +45,7 @@ pub(crate) fn run<C: Controller>(
     let (early_ns, rest_ns) = (scenario.loop_.lead_ns().min(EARLY_NS), ports.states_bell.may_rest_ns(period_ns));
     let mut evidence_now = Evidence::default();
     let (mut active, mut gap_ns) = (false, 0);
+    let mut mapped = false;
     let mut next_ns = 0;
     // Injected: a torque that is published after its successor.
     let mut kept_back = None;
@@ -89,6 +90,7 @@ pub(crate) fn run<C: Controller>(
             torque.tick = WARM_UP_TICK;
         }
         torque.evidence = evidence_now;
+        torque.flags |= if mapped { torque_flag::MAPPED } else { 0 };
         // The marker serves lockstep; here an answer that is withheld is simply not given.
         if torque.flags & torque_flag::WITHHELD == 0 {
             torque.published_ns = core.stamp_ns(clock::now_ns());
@@ -105,7 +107,9 @@ pub(crate) fn run<C: Controller>(
         // A warm-up state says when the first one comes once that is known: before, there is no instant to spin for.
         (active, next_ns) = (state.active == id && state.deadline_ns != 0, state.deadline_ns + period_ns);
         ports.drain_setpoints(&mut core.setpoints, links);
+        let mapping_from_ns = clock::now_ns();
         ports.update_connections();
+        mapped = clock::now_ns() - mapping_from_ns > role::MAPPING_NS;
         evidence_now = evidence.read();
     }
 }

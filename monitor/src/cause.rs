@@ -6,7 +6,7 @@
 //!
 //! 1. [`Cause::InjectedFault`]: the tick or its torque says that a fault was injected into it.
 //! 2. [`Cause::MonitorJoined`]: the plant mapped memory for a port in this tick or the one before, and its wake-up is
-//!    the part (or mapping took at least a quarter of the time lost).
+//!    the part (or mapping took at least a quarter of the time lost); or the controller says that it was mapping.
 //! 3. [`Cause::PageFault`]: a major fault in the thread, or so many minor ones that they explain a quarter of the time
 //!    lost, at [`MINOR_FAULT_NS`] each.
 //! 4. [`Cause::InvoluntarySwitch`]: another thread took the core: an involuntary switch, and run-queue delay of at
@@ -19,7 +19,9 @@
 //! 9. By part: the plant's wake-up is [`Cause::OwnOverrun`] when the thread was running for nine tenths of the time
 //!    since the last record and no gap in its spin is as long as half of the time lost, else [`Cause::TimerOrHost`];
 //!    computation is [`Cause::OwnOverrun`] of the controller; its wake-up is [`Cause::ControllerLate`]; the way back is
-//!    [`Cause::TimerOrHost`] if the plant saw a gap while spinning, else [`Cause::ControllerLate`].
+//!    [`Cause::TimerOrHost`]: the torque lay there, and the plant did not run.
+//!
+//! A plant that could not sleep before a tick was late from the tick before: its evidence then counts from there.
 //!
 //! Where no answer came, the time lost is the whole silence: a controller that was stopped for 20 ms and then waited 0.2 ms
 //! for its core was not late by its run queue.
@@ -185,16 +187,16 @@ pub fn attribute(clues: &Clues) -> Attribution {
 }
 
 fn by_part(clues: &Clues) -> Cause {
-    let gap_seen = clues.spin_gap_ns >= (clues.lost_ns / 2).max(1);
     match clues.part {
         Part::PlantWakeup => {
+            let gap_seen = clues.spin_gap_ns >= (clues.lost_ns / 2).max(1);
             let ran =
                 clues.evidence_span_ns > 0 && clues.evidence.run_time_ns as f64 >= 0.9 * clues.evidence_span_ns as f64;
             if ran && !gap_seen { Cause::OwnOverrun } else { Cause::TimerOrHost }
         }
         Part::Compute => Cause::OwnOverrun,
-        Part::Return if gap_seen => Cause::TimerOrHost,
-        Part::Return | Part::ControllerWakeup | Part::NoAnswer => Cause::ControllerLate,
+        Part::Return => Cause::TimerOrHost,
+        Part::ControllerWakeup | Part::NoAnswer => Cause::ControllerLate,
         Part::Unknown => Cause::Unknown,
     }
 }
@@ -282,8 +284,7 @@ mod tests {
             Clues { evidence: Evidence { run_time_ns: 990_000, ..Evidence::default() }, ..late(Part::PlantWakeup) };
         assert_eq!(attribute(&ran).cause, Cause::OwnOverrun);
         assert_eq!(attribute(&Clues { spin_gap_ns: 300_000, ..ran }).cause, Cause::TimerOrHost);
-        assert_eq!(attribute(&Clues { spin_gap_ns: 300_000, ..late(Part::Return) }).cause, Cause::TimerOrHost);
-        assert_eq!(attribute(&late(Part::Return)).cause, Cause::ControllerLate);
+        assert_eq!(attribute(&late(Part::Return)).cause, Cause::TimerOrHost);
     }
 
     #[test]

@@ -37,6 +37,8 @@ struct Case {
     deadline_to_torque_ns: u64,
     writer: u32,
     answered_before: Option<LastAnswer>,
+    /// The controller says in its answer to this tick that it was mapping.
+    mapped: bool,
     clues: Clues,
 }
 
@@ -45,7 +47,8 @@ struct Case {
 pub struct Causes {
     waiting: Vec<Case>,
     answers: Vec<LastAnswer>,
-    plant_before: Option<(Evidence, u64)>,
+    /// The plant's evidence in the tick before and in the one before that, with their instants.
+    plant_before: [Option<(Evidence, u64)>; 2],
     active_before: u32,
     joined_before: Option<u64>,
     /// Late ticks by cause.
@@ -59,7 +62,7 @@ impl Default for Causes {
         Self {
             waiting: Vec::with_capacity(WAITING_MAX),
             answers: Vec::with_capacity(WRITERS_MAX),
-            plant_before: None,
+            plant_before: [None; 2],
             active_before: 0,
             joined_before: None,
             late: CauseCounts::default(),
@@ -101,7 +104,9 @@ impl Causes {
     }
 
     fn plant_clues(&self, config: &Config, record: &TickRecord) -> Clues {
-        let (evidence, span_ns) = self.plant_before.map_or((Evidence::default(), 0), |(before, at_ns)| {
+        // Without sleep before the tick it was late already: what kept it lies before the last reading.
+        let since = if record.wake_late_ns == u64::MAX { self.plant_before[1] } else { self.plant_before[0] };
+        let (evidence, span_ns) = since.or(self.plant_before[0]).map_or((Evidence::default(), 0), |(before, at_ns)| {
             (record.evidence.since(&before), record.sampled_ns.saturating_sub(at_ns))
         });
         let answered = accepted(record);
@@ -133,6 +138,7 @@ impl Causes {
             deadline_to_torque_ns: 0,
             writer: 0,
             answered_before: None,
+            mapped: false,
             clues: Clues { lost_ns, ..clues },
         };
         self.decide(config, case, None, record.tick, events);
@@ -166,6 +172,7 @@ impl Causes {
             deadline_to_torque_ns,
             writer: blamed,
             answered_before: self.answers.iter().find(|answer| answer.writer == blamed).copied(),
+            mapped: blamed_receipt.is_some_and(|receipt| receipt.flags & torque_flag::MAPPED != 0),
             clues,
         };
         let at_once = clues.part.is_plants() || clues.part == Part::Unknown || clues.injected || clues.removed;
@@ -200,6 +207,10 @@ impl Causes {
                 (Some(answer), Some(before)) => evidence_of(answer).since(&before.evidence),
                 _ => Evidence::default(),
             };
+            // An answer tells what the controller did before it, the blamed one's own as well as the first after it.
+            if case.mapped || answer.is_some_and(|answer| answer.flags & torque_flag::MAPPED != 0) {
+                clues.joined = Some(clues.lost_ns);
+            }
             let from_tick = case.answered_before.map_or(case.tick, |before| before.tick.saturating_add(1));
             clues.silence_ns = now_tick.saturating_sub(from_tick).saturating_mul(config.period_ns);
         }
@@ -217,7 +228,7 @@ impl Causes {
     }
 
     fn remember(&mut self, record: &TickRecord) {
-        self.plant_before = Some((record.evidence, record.sampled_ns));
+        self.plant_before = [Some((record.evidence, record.sampled_ns)), self.plant_before[0]];
         self.active_before = record.active;
         self.joined_before = joined(record);
         for receipt in receipts(record).iter().filter(|receipt| has_come(receipt)) {

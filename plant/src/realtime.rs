@@ -24,8 +24,6 @@ use crate::ports::{Orders, Ports};
 const GRID_NS: u64 = 20_000_000;
 /// Rounds of exchange before t_0, so that both ends are warm.
 const WARM_UP_ROUNDS: u32 = 64;
-/// A round of mapping that takes longer than this has mapped something.
-const JOIN_NS: u64 = 40_000;
 
 /// The loop's times, ns.
 struct Times {
@@ -235,7 +233,7 @@ fn prepare<const N: usize>(core: &mut PlantCore<N>, ports: &Ports) -> Option<u64
     while let Some(torque) = ports.next_torque() {
         core.authority.too_late(&torque);
     }
-    (took_ns > JOIN_NS).then_some(took_ns)
+    (took_ns > role::MAPPING_NS).then_some(took_ns)
 }
 
 fn wait_for_deadline(ports: &Ports, deadline_ns: u64, gap_ns: &mut u64) -> u64 {

@@ -148,6 +148,9 @@ fn allowed_cores() -> Vec<usize> {
     set.map(|set| (0..rustix::thread::CpuSet::MAX_CPU).filter(|core| set.is_set(*core)).collect()).unwrap_or_default()
 }
 
+/// A round of mapping that takes longer than this (ns) has mapped something.
+pub const MAPPING_NS: u64 = 40_000;
+
 /// Ends this process at once, as an injected fault: no destructor runs, as if killed from outside.
 pub fn kill_self() -> ! {
     let _ = rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::KILL);

@@ -144,6 +144,8 @@ pub mod torque_flag {
     pub const AFTER_ITS_TIME: u32 = 16;
     /// Lockstep only: a stranger's torque counts as come beside this one (an injected fault).
     pub const ROGUE: u32 = 32;
+    /// The controller spent long in mapping a port that joined, since its answer before.
+    pub const MAPPED: u32 = 64;
 }
 
 wire! {

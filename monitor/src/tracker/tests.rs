@@ -148,6 +148,10 @@ fn a_controller_is_asked_for_its_evidence_which_comes_with_its_next_answer() {
     assert_eq!(found(around(delayed(5, 0, 600_000, 0), good(6))).0, one("own_overrun", 1));
     // A late tick without an answer in time is missed too, for the same reason.
     assert_eq!(found(around(delayed(5, 0, 600_000, 0), good(6))).1, one("own_overrun", 1));
+    // What it says of itself is in the answer, late as that is, or in the first one after a tick without any.
+    let mut mapping = late();
+    mapping.receipts[0].flags |= torque_flag::MAPPED;
+    assert_eq!(found(around(mapping, good(6))).0, one("monitor_joined", 1));
     // Evidence that was there before is not of this tick.
     let before = with_controller_evidence(good(4), 550_000, 1, 0);
     let same = with_controller_evidence(good(6), 550_000, 1, 0);
@@ -180,6 +184,12 @@ fn the_plant_is_asked_for_what_happened_to_it_in_the_same_tick() {
     );
     assert_eq!(cause(Evidence { major_faults: 1, ..none }).0, one("page_fault", 1));
     assert_eq!(cause(Evidence { run_time_ns: 1_600_000, ..none }).0, one("own_overrun", 1));
+    // Late from the tick before, without any sleep between: what kept the plant there is in the reading of that tick.
+    let kept = Evidence { run_delay_ns: 500_000, ..none };
+    let before = TickRecord { evidence: kept, ..good(4) };
+    let sleepless = TickRecord { wake_late_ns: u64::MAX, ..late(kept) };
+    assert_eq!(found([good(3), before, late(kept)]).0, one("timer_or_host", 1));
+    assert_eq!(found([good(3), before, sleepless]).0, one("run_queue_delay", 1));
     let joined = |mut record: TickRecord| {
         record.flags |= record_flag::JOINED;
         record.happenings[0] = Happening { kind: HappeningKind::Joined.code(), detail: 450_000, ..Happening::zeroed() };
