@@ -39,6 +39,8 @@ struct Case {
     answered_before: Option<LastAnswer>,
     /// The controller says in its answer to this tick that it was mapping.
     mapped: bool,
+    /// The first answer after a silence, by its tick: what is asked for its evidence is the answer after that.
+    silent_until: Option<u64>,
     clues: Clues,
 }
 
@@ -139,6 +141,7 @@ impl Causes {
             writer: 0,
             answered_before: None,
             mapped: false,
+            silent_until: None,
             clues: Clues { lost_ns, ..clues },
         };
         self.decide(config, case, None, record.tick, events);
@@ -173,6 +176,7 @@ impl Causes {
             writer: blamed,
             answered_before: self.answers.iter().find(|answer| answer.writer == blamed).copied(),
             mapped: blamed_receipt.is_some_and(|receipt| receipt.flags & torque_flag::MAPPED != 0),
+            silent_until: None,
             clues,
         };
         let at_once = clues.part.is_plants() || clues.part == Part::Unknown || clues.injected || clues.removed;
@@ -190,7 +194,14 @@ impl Causes {
             let case = self.waiting[at];
             let answer = receipts(record).iter().find(|receipt| receipt.writer == case.writer && has_come(receipt));
             let waited_ns = record.tick.saturating_sub(case.tick).saturating_mul(config.period_ns);
-            if answer.is_some() || waited_ns > config.finalise_ns {
+            // A controller reads its evidence in the slack after an answer, and gives it with the next: the answer that ends a
+            // silence was prepared before it.
+            if let (Part::NoAnswer, None, Some(answer)) = (case.clues.part, case.silent_until, answer) {
+                let case = &mut self.waiting[at];
+                case.silent_until = Some(record.tick);
+                case.mapped |= answer.flags & torque_flag::MAPPED != 0;
+                at += 1;
+            } else if answer.is_some() || waited_ns > config.finalise_ns {
                 self.waiting.remove(at);
                 self.decide(config, case, answer, record.tick, events);
             } else {
@@ -207,12 +218,12 @@ impl Causes {
                 (Some(answer), Some(before)) => evidence_of(answer).since(&before.evidence),
                 _ => Evidence::default(),
             };
-            // An answer tells what the controller did before it, the blamed one's own as well as the first after it.
-            if case.mapped || answer.is_some_and(|answer| answer.flags & torque_flag::MAPPED != 0) {
+            if case.mapped {
                 clues.joined = Some(clues.lost_ns);
             }
             let from_tick = case.answered_before.map_or(case.tick, |before| before.tick.saturating_add(1));
-            clues.silence_ns = now_tick.saturating_sub(from_tick).saturating_mul(config.period_ns);
+            clues.silence_ns =
+                case.silent_until.unwrap_or(now_tick).saturating_sub(from_tick).saturating_mul(config.period_ns);
         }
         let why = attribute(&clues);
         if case.late {

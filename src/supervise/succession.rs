@@ -143,6 +143,9 @@ impl Supervisor<'_> {
                 }
             }
             self.children[index].retiring = true;
+            // What a process does to end takes milliseconds: not above those who still control. Without the privilege it
+            // has no real-time priority to lose.
+            let _ = set_priority(self.children[index].pid, 0);
             self.children[index].terminate();
         }
     }

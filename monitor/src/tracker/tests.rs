@@ -217,8 +217,9 @@ fn injected_faults_silence_and_death_are_told_apart() {
     assert_eq!(found([good(4), unanswered(5), good(6)]).1, one("controller_late", 1));
     let silent = || (5..15).map(unanswered);
     assert_eq!(found([good(4)].into_iter().chain(silent()).chain([good(15)])).1, one("controller_dead", 10));
-    let starved = with_controller_evidence(good(15), 9_000_000, 0, 0);
-    assert_eq!(found([good(4)].into_iter().chain(silent()).chain([starved])).1, one("run_queue_delay", 10));
+    // What it waited is in the reading after the answer that ends the silence, so in the answer after that.
+    let starved = with_controller_evidence(good(16), 9_000_000, 0, 0);
+    assert_eq!(found([good(4)].into_iter().chain(silent()).chain([good(15), starved])).1, one("run_queue_delay", 10));
     // It never answers again: decided after the time that a monitor waits, or at the end.
     assert_eq!(found([good(4)].into_iter().chain((5..205).map(unanswered))).1, one("controller_dead", 200));
     let mut removed = unanswered(5);
