@@ -6,6 +6,7 @@ use std::process::ExitCode;
 
 use clap::{Args, CommandFactory as _, Parser, Subcommand};
 use clap_complete::Shell;
+use loopbound_monitor::live::Address;
 use loopbound_shared::law::LawKind;
 use loopbound_shared::role::RoleArgs;
 use loopbound_shared::scenario::{Mode, Scenario, Wakeup, parse_duration, parse_rate};
@@ -42,6 +43,7 @@ Examples:
   loopbound run --set plant.mass_error=0.1             any key of the scenario
   loopbound run scenarios/ci.toml --json --out results one JSON document, and all files of the run
   loopbound run --tui --duration 60s                   live on the terminal
+  loopbound run --foxglove 8765 --duration 60s         live in Foxglove, at ws://127.0.0.1:8765
   loopbound run --mode lockstep                        virtual time, as fast as the machine allows")]
     Run(run::RunArgs),
     /// Watch a running group; attach and detach at any time.
@@ -50,7 +52,9 @@ Examples:
   loopbound monitor --group lb-4711                    until the group ends or Ctrl-C, then a report
   loopbound monitor --group lb-4711 --duration 5s --json
   loopbound monitor --group lb-4711 --out results
-  loopbound monitor --group lb-4711 --tui              live on the terminal")]
+  loopbound monitor --group lb-4711 --tui              live on the terminal
+  loopbound monitor --group lb-4711 --foxglove 8765    live in Foxglove, at ws://127.0.0.1:8765
+  loopbound monitor --group lb-4711 --foxglove 0.0.0.0:8765   the same, for other machines too")]
     Monitor(MonitorArgs),
     /// Replace the controller in charge of a running group, without a missed tick.
     #[command(after_help = "\
@@ -194,6 +198,10 @@ pub struct MonitorArgs {
     /// Draw the group on the terminal instead: chain, V and its bounds, latencies, events.
     #[arg(long, conflicts_with_all = ["out", "json"])]
     pub tui: bool,
+    /// Serve the group live over the Foxglove WebSocket protocol at HOST:PORT, HOST or PORT; default host 127.0.0.1,
+    /// default port 8765.
+    #[arg(long, value_name = "ADDR", conflicts_with = "tui")]
+    pub foxglove: Option<Address>,
     /// How long to watch (such as 5s); default until the group ends.
     #[arg(long, value_parser = parse_duration, value_name = "TIME")]
     pub duration: Option<u64>,

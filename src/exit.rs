@@ -42,7 +42,7 @@ impl Exit {
     pub fn of(error: &anyhow::Error) -> Self {
         let wrong_group = |e: &GroupError| !matches!(e, GroupError::Folder { .. });
         let wrong_role = |e: &RoleError| match e {
-            RoleError::Scenario(_) => true,
+            RoleError::Scenario(_) | RoleError::Usage(_) => true,
             RoleError::Group(group) => wrong_group(group),
             _ => false,
         };

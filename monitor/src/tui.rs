@@ -13,10 +13,10 @@ use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
-use loopbound_shared::clock::{now_ns, sleep_ns};
+use loopbound_shared::clock::now_ns;
 use loopbound_shared::group::runtime_folder;
 use loopbound_shared::law::LawKind;
-use loopbound_shared::role::{Joined, RoleArgs, RoleError, join};
+use loopbound_shared::role::{Joined, RoleError};
 use loopbound_shared::sample::{Announce, TickRecord, record_flag};
 use loopbound_shared::topics::Topic;
 use loopbound_shared::with_links;
@@ -24,7 +24,7 @@ use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event as Input, KeyCode, KeyEventKind, KeyModifiers};
 use serde_json::{Value, json};
 
-use crate::run::MonitorArgs;
+use crate::run::{MonitorArgs, START_NS, join_soon};
 use model::Model;
 
 /// Between two pictures.
@@ -33,8 +33,6 @@ const PICTURE: Duration = Duration::from_millis(50);
 const DRAIN_NS: u64 = 100_000_000;
 /// Between two points of a sparkline.
 const INTERVAL_NS: u64 = 500_000_000;
-/// How long a group that is just being started is waited for.
-const START_NS: u64 = 10_000_000_000;
 /// Silence after which the group is gone.
 const SILENCE_NS: u64 = 5_000_000_000;
 /// A swap takes its gate and the watch after it.
@@ -59,19 +57,6 @@ pub fn run(args: &MonitorArgs, stop: &AtomicBool) -> Result<Left, RoleError> {
     let joined = join_soon(args, stop)?;
     let links = joined.scenario.links();
     with_links!(links, watch::<N>(args, &joined, stop))
-}
-
-/// A group that this view was started with may still be on its way.
-fn join_soon(args: &MonitorArgs, stop: &AtomicBool) -> Result<Joined, RoleError> {
-    let scenario = args.scenario.clone().unwrap_or_else(|| runtime_folder().join(&args.group).join("scenario.toml"));
-    let role = RoleArgs { group: args.group.clone(), id: args.id, scenario, parent: args.parent };
-    let give_up_ns = now_ns() + if args.parent.is_some() { START_NS } else { 0 };
-    loop {
-        match join(&role) {
-            Err(_) if now_ns() < give_up_ns && !stop.load(SeqCst) => sleep_ns(20_000_000),
-            done => return done,
-        }
-    }
 }
 
 fn watch<const N: usize>(args: &MonitorArgs, joined: &Joined, stop: &AtomicBool) -> Result<Left, RoleError> {

@@ -9,6 +9,8 @@ mod harness;
 
 mod attached;
 mod deaths;
+#[cfg(feature = "foxglove")]
+mod live;
 mod lockstep;
 mod realtime;
 mod recording;
