@@ -12,7 +12,7 @@ use loopbound_shared::role::RoleArgs;
 use loopbound_shared::scenario::{Mode, Scenario, Wakeup, parse_duration, parse_rate};
 
 use crate::exit::Exit;
-use crate::{bound, check, clean, doctor, model, pages, ps, replay, report, roles, run, study, swap};
+use crate::{bound, check, clean, doctor, fault, model, pages, ps, replay, report, roles, run, study, swap};
 
 /// kHz control loops split across processes over shared memory: latency measured to the nanosecond, and a Lyapunov
 /// bound checked live.
@@ -65,6 +65,16 @@ Examples:
   loopbound swap --group lb-4711 --to 2 --json         to the standby with number 2
 Exit code 4: refused or rolled back; the old controller is still in charge.")]
     Swap(swap::SwapArgs),
+    /// Let something go wrong with a controller of a running group, on purpose.
+    #[command(after_help = "\
+Examples:
+  loopbound fault --group lb-4711 delay                every torque too late, for 100 ms
+  loopbound fault --group lb-4711 delay --delay 200us --for 2s
+  loopbound fault --group lb-4711 hang --for 20ms      stopped, and let go on (SIGSTOP, SIGCONT)
+  loopbound fault --group lb-4711 kill --controller 2  kill -9
+Kinds: delay, drop (no torque), nan (torques that are no numbers), kill, hang. What follows is put down to `injected fault`.
+Exit code 4: refused.")]
+    Fault(fault::FaultArgs),
     /// Feed a recorded run to the same code again: identical to the bit, or what if.
     #[command(after_help = "\
 Examples:
@@ -321,6 +331,7 @@ fn dispatch(command: Command) -> anyhow::Result<Exit> {
         Command::Run(args) => run::run(&args),
         Command::Monitor(args) => roles::monitor(args),
         Command::Swap(args) => swap::run(&args),
+        Command::Fault(args) => fault::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Report(args) => report::run(&args),
         Command::Ps(args) => ps::run(args.json),

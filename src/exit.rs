@@ -18,7 +18,7 @@ pub enum Exit {
     Usage = 2,
     /// The run was too short to tell.
     Inconclusive = 3,
-    /// A swap was refused or rolled back.
+    /// A swap was refused or rolled back, or a fault was refused.
     SwapRefused = 4,
     /// A role died and was not recovered.
     RoleDied = 5,

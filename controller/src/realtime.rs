@@ -106,6 +106,7 @@ pub(crate) fn run<C: Controller>(
         (active, next_ns) = (state.active == id && state.deadline_ns != 0, state.deadline_ns + period_ns);
         ports.drain_setpoints(&mut core.setpoints, links);
         ports.update_connections();
+        core.heed(block.faults());
         evidence_now = evidence.read();
     }
 }

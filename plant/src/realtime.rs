@@ -183,6 +183,9 @@ fn one_tick<const N: usize>(
         core.note_join(took_ns);
     }
     suffer(core, ports, tick);
+    if let Some(struck) = &mut orders.struck {
+        struck.mark(core, tick);
+    }
     let published_ns = clock::now_ns();
     let grace_deadline_ns = times.grace_deadline_ns(tick, published_ns);
     (state.published_ns, state.grace_deadline_ns) = (published_ns, grace_deadline_ns);

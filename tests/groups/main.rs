@@ -9,6 +9,7 @@ mod harness;
 
 mod attached;
 mod deaths;
+mod faults;
 #[cfg(feature = "foxglove")]
 mod live;
 mod lockstep;
