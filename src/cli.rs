@@ -23,8 +23,8 @@ use crate::{bound, check, clean, doctor, fault, model, pages, ps, replay, report
     max_term_width = 100,
     after_help = "\
 Exit codes: 0 held; 1 an expectation failed or the bound was violated other than by latency; 2 usage or scenario;
-3 inconclusive; 4 a swap was refused or rolled back; 5 a role died and was not recovered; 70 internal; 130 interrupted;
-143 terminated."
+3 inconclusive; 4 a swap was refused or rolled back, or a fault refused; 5 a role died and was not recovered; 70 internal;
+130 interrupted; 143 terminated."
 )]
 pub struct Cli {
     /// What to do.
