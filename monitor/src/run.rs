@@ -181,6 +181,8 @@ impl<'a, const N: usize> Watch<'a, N> {
         let config = Config::of(scenario);
         let other = |e: &dyn std::fmt::Display| RoleError::Other(e.to_string());
         let judge = Judge::new(scenario).map_err(|e| other(&e))?;
+        // Before any file is opened: a refused address must not cost the files of an earlier run.
+        let live = args.foxglove.as_ref().map(|address| serve(address, args, scenario)).transpose()?;
         let recorder = match &args.out {
             None => None,
             Some(folder) => {
@@ -190,7 +192,6 @@ impl<'a, const N: usize> Watch<'a, N> {
                 Some(recorder.map_err(|e| RoleError::Other(format!("{}: {e}", folder.display())))?)
             }
         };
-        let live = args.foxglove.as_ref().map(|address| serve(address, args, scenario)).transpose()?;
         let now_ns = now_ns();
         Ok(Self {
             args,
