@@ -72,7 +72,8 @@ Examples:
   loopbound fault --group lb-4711 delay --delay 200us --for 2s
   loopbound fault --group lb-4711 hang --for 20ms      stopped, and let go on (SIGSTOP, SIGCONT)
   loopbound fault --group lb-4711 kill --controller 2  kill -9
-Kinds: delay, drop (no torque), nan (torques that are no numbers), kill, hang. What follows is put down to `injected fault`.
+Kinds: delay, drop (no torque), nan (torques that are no numbers), glitch (a torque added to the first link), kill, hang. What
+follows is put down to `injected fault`.
 Exit code 4: refused.")]
     Fault(fault::FaultArgs),
     /// Feed a recorded run to the same code again: identical to the bit, or what if.

@@ -16,7 +16,7 @@ pub struct FaultArgs {
     /// Name of the group (see `loopbound ps`).
     #[arg(long)]
     pub group: String,
-    /// What goes wrong: delay, drop, nan, kill or hang.
+    /// What goes wrong: delay, drop, nan, glitch, kill or hang.
     #[arg(value_parser = word::<LiveFault>)]
     pub kind: LiveFault,
     /// The controller that it befalls; default the one in charge.
@@ -25,6 +25,9 @@ pub struct FaultArgs {
     /// How much later each torque comes, of a delay; default beyond the grace, so that it is missed.
     #[arg(long, value_parser = parse_duration, value_name = "TIME")]
     pub delay: Option<u64>,
+    /// What is added to the torque of the first link, N·m, of a glitch; default 200.
+    #[arg(long, value_name = "NM", allow_negative_numbers = true)]
+    pub value: Option<f64>,
     /// How long it lasts; default 100ms.
     #[arg(long = "for", value_parser = parse_duration, value_name = "TIME")]
     pub length: Option<u64>,
@@ -43,6 +46,7 @@ pub fn run(args: &FaultArgs) -> anyhow::Result<Exit> {
         controller: args.controller,
         delay_ns: args.delay,
         for_ns: args.length,
+        value_nm: args.value,
     };
     let report = match connect(&args.group, &Request::Fault(request))? {
         Some(Answer::Fault(report)) => *report,
@@ -70,7 +74,8 @@ fn text(report: &FaultReport) -> String {
         return format!("fault {kind}: refused in tick {tick}: {reason}");
     }
     let ms = |ns: u64| format!("{} ms", ns as f64 * 1e-6);
-    let by = report.delay_ns.map_or_else(String::new, |ns| format!(" by {}", ms(ns)));
+    let delay = report.delay_ns.map(|ns| format!(" by {}", ms(ns)));
+    let by = delay.or_else(|| Some(format!(" by {} N·m", report.value_nm?))).unwrap_or_default();
     let length = report.for_ns.map_or_else(String::new, |ns| format!(" for {}", ms(ns)));
     format!("fault {kind}{by}: controller {controller} from tick {tick} on{length}")
 }
@@ -90,6 +95,8 @@ mod tests {
             ..FaultReport::default()
         };
         assert_eq!(text(&delay), "fault delay by 0.6 ms: controller 2 from tick 70 on for 100 ms");
+        let glitch = FaultReport { kind: "glitch".into(), delay_ns: None, value_nm: Some(-2.5), ..delay.clone() };
+        assert!(text(&glitch).starts_with("fault glitch by -2.5 N·m: controller 2"), "{}", text(&glitch));
         let refused = FaultReport { reason: Some("no such controller".into()), ..delay };
         assert_eq!(text(&refused), "fault delay: refused in tick 70: no such controller");
     }

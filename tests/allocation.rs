@@ -272,13 +272,13 @@ fn the_realtime_loops_allocate_nothing_of_their_own_with_faults_and_a_failing_ac
 
 #[test]
 fn the_realtime_loops_allocate_nothing_of_their_own_while_a_fault_befalls_them_that_was_asked_for() {
-    for kind in [LiveFault::Delay, LiveFault::Drop, LiveFault::Nan] {
+    for kind in [LiveFault::Delay, LiveFault::Drop, LiveFault::Nan, LiveFault::Glitch] {
         let scenario = "[controller]\nstandby = 1\n";
         assert_only_notes_with(kind.name(), scenario, 300, 900, |threads| {
             let (target, first, end, delay_ns) = (1, 400, 500, 200_000);
             let (command, option) = (CommandKind::Fault.code(), u64::from(kind.code()));
             threads.ask(Command { kind: command, controller: target, tick: first, ns: 100_000_000, option });
-            threads.block.faults().write(&Injected { kind, target, first, end, delay_ns });
+            threads.block.faults().write(&Injected { kind, target, first, end, delay_ns, value_nm: 1.0 });
         });
     }
 }

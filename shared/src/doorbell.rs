@@ -35,7 +35,7 @@ pub enum Bell {
 }
 
 const BELLS: usize = 3;
-const MAGIC: u64 = fnv1a(FNV_START, b"loopbound control block 3: bells 3, places 32, pace, faults");
+const MAGIC: u64 = fnv1a(FNV_START, b"loopbound control block 3: bells 3, places 32, pace, faults 6");
 
 #[repr(C, align(64))]
 struct BellWords {

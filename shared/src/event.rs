@@ -164,6 +164,8 @@ codes! {
         Kill = 4, "kill";
         /// The process is stopped, and goes on after a while.
         Hang = 5, "hang";
+        /// A torque is added to each torque's first link.
+        Glitch = 6, "glitch";
     }
 
     /// How the plant answers.

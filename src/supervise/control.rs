@@ -52,6 +52,8 @@ pub struct FaultRequest {
     pub delay_ns: Option<u64>,
     /// How long it lasts; nothing for a kill.
     pub for_ns: Option<u64>,
+    /// What is added to the torque of the first link, N·m; of a glitch.
+    pub value_nm: Option<f64>,
 }
 
 /// What came of an injected fault.
@@ -69,6 +71,8 @@ pub struct FaultReport {
     pub for_ns: Option<u64>,
     /// How much later each torque comes; of a delay.
     pub delay_ns: Option<u64>,
+    /// What is added to the torque of the first link, N·m; of a glitch.
+    pub value_nm: Option<f64>,
     /// `done` or `refused`.
     pub result: String,
     /// Why, where it was refused.

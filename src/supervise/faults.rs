@@ -1,7 +1,7 @@
 //! Faults by command: the plant is told which ticks to mark, then the controller is struck.
 //!
 //! The order matters. What the fault does to a tick is put down to it because the plant has marked that tick, so the plant
-//! knows first. What a controller does by itself (delay, drop, nan) it reads from the control block in its slack; what
+//! knows first. What a controller does by itself (delay, drop, nan, glitch) it reads from the control block in its slack; what
 //! ends or stops it comes as a signal. One fault at a time.
 
 use loopbound_shared::clock;
@@ -19,6 +19,8 @@ const FOR_NS: u64 = 100_000_000;
 const FOR_NS_MAX: u64 = 60_000_000_000;
 /// The longest delay of a torque.
 const DELAY_NS_MAX: u64 = 1_000_000_000;
+/// The glitch that is added where none is said, N·m: several times what the default certificate bears.
+const GLITCH_NM: f64 = 200.0;
 /// From the command to the first tick of what a controller reads in its slack.
 const AHEAD_NS: u64 = 5_000_000;
 /// What is late because of a fault may come so much after it: a stopped process needs its core again.
@@ -33,11 +35,12 @@ pub(super) struct Hanging {
 }
 
 /// A request that makes sense.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct Wanted {
     kind: LiveFault,
     for_ns: u64,
     delay_ns: u64,
+    value_nm: f64,
 }
 
 impl Wanted {
@@ -46,6 +49,11 @@ impl Wanted {
         let no_use = |given: bool, key: &str| if given { Err(format!("{key} is of no use to {kind}")) } else { Ok(()) };
         no_use(request.delay_ns.is_some() && kind != LiveFault::Delay, "a delay")?;
         no_use(request.for_ns.is_some() && kind == LiveFault::Kill, "a length")?;
+        no_use(request.value_nm.is_some() && kind != LiveFault::Glitch, "a value")?;
+        let value_nm = request.value_nm.unwrap_or(GLITCH_NM);
+        if !value_nm.is_finite() {
+            return Err("the value is no finite number".to_owned());
+        }
         let within = |value_ns: u64, max_ns: u64, key: &str| {
             let fits = (1..=max_ns).contains(&value_ns);
             if fits {
@@ -60,6 +68,7 @@ impl Wanted {
             kind,
             for_ns: within(request.for_ns.unwrap_or(FOR_NS), FOR_NS_MAX, "the length")?,
             delay_ns: within(request.delay_ns.unwrap_or(late_ns.min(DELAY_NS_MAX)), DELAY_NS_MAX, "the delay")?,
+            value_nm,
         })
     }
 
@@ -69,7 +78,7 @@ impl Wanted {
             LiveFault::Kill => SUCCESSION_NS,
             LiveFault::Hang => self.for_ns + AFTER_NS,
             LiveFault::Delay => self.for_ns + self.delay_ns,
-            LiveFault::Drop | LiveFault::Nan => self.for_ns,
+            LiveFault::Drop | LiveFault::Nan | LiveFault::Glitch => self.for_ns,
         }
     }
 }
@@ -91,6 +100,7 @@ impl Supervisor<'_> {
             tick: self.tick(),
             for_ns: lasts.then_some(wanted.for_ns),
             delay_ns: (wanted.kind == LiveFault::Delay).then_some(wanted.delay_ns),
+            value_nm: (wanted.kind == LiveFault::Glitch).then_some(wanted.value_nm),
             ..FaultReport::default()
         };
         let done = self.strike(wanted, target);
@@ -128,10 +138,10 @@ impl Supervisor<'_> {
         let first = reply.tick;
         self.fault_until_ns = now_ns + ahead * period_ns;
         match wanted.kind {
-            LiveFault::Delay | LiveFault::Drop | LiveFault::Nan => {
+            LiveFault::Delay | LiveFault::Drop | LiveFault::Nan | LiveFault::Glitch => {
                 let end = first + wanted.for_ns.div_ceil(period_ns);
-                let delay_ns = wanted.delay_ns;
-                self.block.faults().write(&Injected { kind: wanted.kind, target, first, end, delay_ns });
+                let Wanted { kind, delay_ns, value_nm, .. } = wanted;
+                self.block.faults().write(&Injected { kind, target, first, end, delay_ns, value_nm });
                 self.fault_until_ns += wanted.for_ns;
             }
             LiveFault::Kill => self.to_process(pid, Child::kill),
@@ -192,9 +202,11 @@ mod tests {
     fn what_makes_no_sense_is_refused_by_name() {
         let (some, far) = (Some(1_000), Some(u64::MAX));
         for (request, named) in [
-            (of("dely"), "delay drop nan kill hang"),
+            (of("dely"), "delay drop nan kill hang glitch"),
             (FaultRequest { delay_ns: some, ..of("drop") }, "delay"),
             (FaultRequest { for_ns: some, ..of("kill") }, "length"),
+            (FaultRequest { value_nm: Some(1.0), ..of("hang") }, "value"),
+            (FaultRequest { value_nm: Some(f64::NAN), ..of("glitch") }, "finite"),
             (FaultRequest { for_ns: far, ..of("hang") }, "60 s"),
             (FaultRequest { for_ns: Some(0), ..of("nan") }, "more than 0"),
             (FaultRequest { delay_ns: far, ..of("delay") }, "1 s"),

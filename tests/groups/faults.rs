@@ -52,6 +52,18 @@ fn delayed_dropped_and_unusable_torques_are_missed_ticks_of_an_injected_fault() 
 }
 
 #[test]
+fn a_glitch_is_laid_to_the_torque_and_the_recording_is_still_replayed_to_the_bit() {
+    let case = Case::new("fault-glitch");
+    let (report, ended, _) = injected(&case, "", &["glitch", "--for", "30ms", "--value", "-200"]);
+    assert_eq!(report["value_nm"], -200.0);
+    let bound = &ended.json()["bound"];
+    assert!(bound["violations_delay_aware"].as_u64().is_some_and(|ticks| ticks >= 10), "{bound}");
+    let replayed = case.output(&["replay", "seen", "--json"]).json_with(0);
+    let taken = replayed["torques_as_recorded"].as_u64();
+    assert!(taken.is_some_and(|taken| (1..=60).contains(&taken)), "{replayed}");
+}
+
+#[test]
 fn a_controller_that_is_stopped_goes_on_and_the_ticks_between_are_put_down_to_the_fault() {
     let case = Case::new("fault-hang");
     let (report, ended, _) = injected(&case, "", &["hang", "--for", "50ms"]);

@@ -27,12 +27,13 @@ const EVENTS: usize = 200;
 const V_LEAST: f64 = 1e-9;
 
 /// What can be injected into the controller in charge: the digit of each is its place, from 1.
-pub const FAULTS: [(LiveFault, &str); 5] = [
+pub const FAULTS: [(LiveFault, &str); 6] = [
     (LiveFault::Delay, "delay: every torque too late, 100 ms long"),
     (LiveFault::Drop, "drop: no torque, 100 ms long"),
     (LiveFault::Nan, "nan: torques that are no numbers, 100 ms long"),
     (LiveFault::Kill, "kill: SIGKILL"),
     (LiveFault::Hang, "hang: stopped for 100 ms"),
+    (LiveFault::Glitch, "glitch: 200 N·m on the first link, 100 ms long"),
 ];
 
 /// What a key asks for.

@@ -11,7 +11,7 @@ use super::FaultActions;
 use crate::event::LiveFault;
 
 /// A fault that was asked for while the group runs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Injected {
     /// What happens.
     pub kind: LiveFault,
@@ -23,6 +23,8 @@ pub struct Injected {
     pub end: u64,
     /// How much later each torque is published, ns; of a delay.
     pub delay_ns: u64,
+    /// What is added to the torque of the first link, N·m; of a glitch.
+    pub value_nm: f64,
 }
 
 impl Injected {
@@ -36,6 +38,7 @@ impl Injected {
             LiveFault::Delay => actions.delay_ns = actions.delay_ns.saturating_add(self.delay_ns),
             LiveFault::Drop => actions.drop = true,
             LiveFault::Nan => actions.nan = true,
+            LiveFault::Glitch => actions.glitch = Some((0, self.value_nm)),
             LiveFault::Kill | LiveFault::Hang => {}
         }
     }
@@ -51,6 +54,8 @@ pub struct Board {
     first: AtomicU64,
     end: AtomicU64,
     delay_ns: AtomicU64,
+    /// The bits of the value.
+    value_nm: AtomicU64,
 }
 
 impl Board {
@@ -63,6 +68,7 @@ impl Board {
         self.first.store(fault.first, SeqCst);
         self.end.store(fault.end, SeqCst);
         self.delay_ns.store(fault.delay_ns, SeqCst);
+        self.value_nm.store(fault.value_nm.to_bits(), SeqCst);
         self.version.store(version.wrapping_add(1), SeqCst);
     }
 
@@ -79,6 +85,7 @@ impl Board {
             first: self.first.load(SeqCst),
             end: self.end.load(SeqCst),
             delay_ns: self.delay_ns.load(SeqCst),
+            value_nm: f64::from_bits(self.value_nm.load(SeqCst)),
         };
         if self.version.load(SeqCst) != version {
             return None;
@@ -94,12 +101,12 @@ mod tests {
 
     fn numbered(n: u64) -> Injected {
         let kind = LiveFault::ALL[usize::try_from(n).unwrap() % LiveFault::ALL.len()];
-        Injected { kind, target: u32::try_from(n).unwrap(), first: n, end: 2 * n, delay_ns: 3 * n }
+        Injected { kind, target: u32::try_from(n).unwrap(), first: n, end: 2 * n, delay_ns: 3 * n, value_nm: n as f64 }
     }
 
     #[test]
     fn a_fault_strikes_its_controller_in_its_ticks_and_in_no_others() {
-        let fault = Injected { kind: LiveFault::Delay, target: 2, first: 10, end: 12, delay_ns: 700 };
+        let fault = Injected { kind: LiveFault::Delay, target: 2, first: 10, end: 12, delay_ns: 700, value_nm: 3.0 };
         let actions = |fault: &Injected, id: u32, tick: u64| {
             let mut actions = FaultActions { delay_ns: 50, ..FaultActions::default() };
             fault.add_to(&mut actions, id, tick);
@@ -108,6 +115,7 @@ mod tests {
         assert_eq!([9, 10, 11, 12].map(|tick| actions(&fault, 2, tick).delay_ns), [50, 750, 750, 50]);
         assert_eq!(actions(&fault, 1, 10).delay_ns, 50);
         assert!(actions(&Injected { kind: LiveFault::Drop, ..fault }, 2, 10).drop);
+        assert_eq!(actions(&Injected { kind: LiveFault::Glitch, ..fault }, 2, 10).glitch, Some((0, 3.0)));
         assert!(actions(&Injected { kind: LiveFault::Nan, ..fault }, 2, 10).nan);
         assert_eq!(actions(&Injected { kind: LiveFault::Kill, ..fault }, 2, 10), actions(&fault, 1, 10));
     }
