@@ -6,12 +6,13 @@ use std::process::ExitCode;
 
 use clap::{Args, CommandFactory as _, Parser, Subcommand};
 use clap_complete::Shell;
+use loopbound_monitor::live::Address;
 use loopbound_shared::law::LawKind;
 use loopbound_shared::role::RoleArgs;
 use loopbound_shared::scenario::{Mode, Scenario, Wakeup, parse_duration, parse_rate};
 
 use crate::exit::Exit;
-use crate::{bound, check, clean, doctor, model, pages, ps, replay, report, roles, run, study, swap};
+use crate::{bound, check, clean, doctor, fault, model, pages, ps, replay, report, roles, run, study, swap};
 
 /// kHz control loops split across processes over shared memory: latency measured to the nanosecond, and a Lyapunov
 /// bound checked live.
@@ -22,8 +23,8 @@ use crate::{bound, check, clean, doctor, model, pages, ps, replay, report, roles
     max_term_width = 100,
     after_help = "\
 Exit codes: 0 held; 1 an expectation failed or the bound was violated other than by latency; 2 usage or scenario;
-3 inconclusive; 4 a swap was refused or rolled back; 5 a role died and was not recovered; 70 internal; 130 interrupted;
-143 terminated."
+3 inconclusive; 4 a swap was refused or rolled back, or a fault refused; 5 a role died and was not recovered; 70 internal;
+130 interrupted; 143 terminated."
 )]
 pub struct Cli {
     /// What to do.
@@ -42,6 +43,7 @@ Examples:
   loopbound run --set plant.mass_error=0.1             any key of the scenario
   loopbound run scenarios/ci.toml --json --out results one JSON document, and all files of the run
   loopbound run --tui --duration 60s                   live on the terminal
+  loopbound run --foxglove 8765 --duration 60s         live in Foxglove, at ws://127.0.0.1:8765
   loopbound run --mode lockstep                        virtual time, as fast as the machine allows")]
     Run(run::RunArgs),
     /// Watch a running group; attach and detach at any time.
@@ -50,7 +52,9 @@ Examples:
   loopbound monitor --group lb-4711                    until the group ends or Ctrl-C, then a report
   loopbound monitor --group lb-4711 --duration 5s --json
   loopbound monitor --group lb-4711 --out results
-  loopbound monitor --group lb-4711 --tui              live on the terminal")]
+  loopbound monitor --group lb-4711 --tui              live on the terminal
+  loopbound monitor --group lb-4711 --foxglove 8765    live in Foxglove, at ws://127.0.0.1:8765
+  loopbound monitor --group lb-4711 --foxglove 0.0.0.0:8765   the same, for other machines too")]
     Monitor(MonitorArgs),
     /// Replace the controller in charge of a running group, without a missed tick.
     #[command(after_help = "\
@@ -61,6 +65,17 @@ Examples:
   loopbound swap --group lb-4711 --to 2 --json         to the standby with number 2
 Exit code 4: refused or rolled back; the old controller is still in charge.")]
     Swap(swap::SwapArgs),
+    /// Let something go wrong with a controller of a running group, on purpose.
+    #[command(after_help = "\
+Examples:
+  loopbound fault --group lb-4711 delay                every torque too late, for 100 ms
+  loopbound fault --group lb-4711 delay --delay 200us --for 2s
+  loopbound fault --group lb-4711 hang --for 20ms      stopped, and let go on (SIGSTOP, SIGCONT)
+  loopbound fault --group lb-4711 kill --controller 2  kill -9
+Kinds: delay, drop (no torque), nan (torques that are no numbers), glitch (a torque added to the first link), kill, hang. What
+follows is put down to `injected fault`.
+Exit code 4: refused.")]
+    Fault(fault::FaultArgs),
     /// Feed a recorded run to the same code again: identical to the bit, or what if.
     #[command(after_help = "\
 Examples:
@@ -194,6 +209,10 @@ pub struct MonitorArgs {
     /// Draw the group on the terminal instead: chain, V and its bounds, latencies, events.
     #[arg(long, conflicts_with_all = ["out", "json"])]
     pub tui: bool,
+    /// Serve the group live over the Foxglove WebSocket protocol at HOST:PORT, HOST or PORT; default host 127.0.0.1,
+    /// default port 8765.
+    #[arg(long, value_name = "ADDR", conflicts_with = "tui")]
+    pub foxglove: Option<Address>,
     /// How long to watch (such as 5s); default until the group ends.
     #[arg(long, value_parser = parse_duration, value_name = "TIME")]
     pub duration: Option<u64>,
@@ -313,6 +332,7 @@ fn dispatch(command: Command) -> anyhow::Result<Exit> {
         Command::Run(args) => run::run(&args),
         Command::Monitor(args) => roles::monitor(args),
         Command::Swap(args) => swap::run(&args),
+        Command::Fault(args) => fault::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Report(args) => report::run(&args),
         Command::Ps(args) => ps::run(args.json),

@@ -18,7 +18,7 @@ pub enum Exit {
     Usage = 2,
     /// The run was too short to tell.
     Inconclusive = 3,
-    /// A swap was refused or rolled back.
+    /// A swap was refused or rolled back, or a fault was refused.
     SwapRefused = 4,
     /// A role died and was not recovered.
     RoleDied = 5,
@@ -42,7 +42,7 @@ impl Exit {
     pub fn of(error: &anyhow::Error) -> Self {
         let wrong_group = |e: &GroupError| !matches!(e, GroupError::Folder { .. });
         let wrong_role = |e: &RoleError| match e {
-            RoleError::Scenario(_) => true,
+            RoleError::Scenario(_) | RoleError::Usage(_) => true,
             RoleError::Group(group) => wrong_group(group),
             _ => false,
         };

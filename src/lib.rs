@@ -9,6 +9,8 @@ pub mod clean;
 pub mod cli;
 pub mod doctor;
 pub mod exit;
+pub mod fault;
+pub mod guests;
 pub mod inprocess;
 pub mod model;
 pub mod pages;

@@ -49,6 +49,7 @@ pub fn monitor(args: cli::MonitorArgs) -> anyhow::Result<Exit> {
         json: args.json,
         managed: args.managed,
         duration_ns: args.duration,
+        foxglove: args.foxglove,
     };
     if tui {
         let left = loopbound_monitor::tui::run(&args, stop)?;

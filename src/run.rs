@@ -7,6 +7,7 @@ use anyhow::Context as _;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use loopbound_monitor::Summary;
+use loopbound_monitor::live::Address;
 use loopbound_monitor::verdict::expectations;
 use loopbound_shared::scenario::{ExpectSection, Scenario};
 use serde_json::Value;
@@ -14,6 +15,7 @@ use serde_json::Value;
 use crate::check;
 use crate::cli::ScenarioArgs;
 use crate::exit::{Exit, Failure};
+use crate::guests::Guest;
 use crate::signals::Stop;
 use crate::supervise::{self, Options, Outcome, Record};
 
@@ -41,6 +43,10 @@ pub struct RunArgs {
     /// Draw the run on the terminal while it lasts.
     #[arg(long, conflicts_with_all = ["json", "quiet"])]
     pub tui: bool,
+    /// Serve the run live over the Foxglove WebSocket protocol at HOST:PORT, HOST or PORT; default host 127.0.0.1, default
+    /// port 8765.
+    #[arg(long, value_name = "ADDR")]
+    pub foxglove: Option<Address>,
     /// No progress, no notes and no report: only files, the exit code and errors.
     #[arg(long, short)]
     pub quiet: bool,
@@ -62,13 +68,11 @@ pub fn run(args: &RunArgs) -> anyhow::Result<Exit> {
         quiet: args.quiet || args.tui,
         stop: &stop,
     };
-    let view = args.tui.then(|| live_view(&options.group)).transpose()?;
-    let outcome = supervise::supervise(&scenario, &options);
-    if let Some(view) = view {
-        // It leaves by itself when the group has ended, and gives the terminal back before the report is printed.
-        let _ = view.join();
-    }
-    let outcome = outcome?;
+    let quiet = options.quiet;
+    let server = args.foxglove.as_ref().map(|address| Guest::server(&options.group, address, quiet)).transpose()?;
+    let view = args.tui.then(|| Guest::view(&options.group)).transpose()?;
+    let outcome = supervise::supervise(&scenario, &options)?;
+    [view, server].into_iter().flatten().for_each(Guest::leave);
     report(args, out.as_deref(), outcome)
 }
 
@@ -87,24 +91,6 @@ fn prepare_folder(folder: &Path) -> anyhow::Result<PathBuf> {
     let fail = |e: std::io::Error| Failure::usage(format!("--out {}: {e}", folder.display()));
     std::fs::create_dir_all(folder).map_err(fail)?;
     Ok(folder.canonicalize().map_err(fail)?)
-}
-
-/// A process of its own draws, so that the supervisor has nothing else to do. The terminal's Ctrl-C is a key for it, and
-/// is passed on as the signal that it would have been.
-fn live_view(group: &str) -> anyhow::Result<std::thread::JoinHandle<()>> {
-    anyhow::ensure!(std::io::stdout().is_terminal(), Failure::usage("--tui needs a terminal"));
-    let (exe, own) = (std::env::current_exe()?, rustix::process::getpid());
-    let mut view = std::process::Command::new(exe)
-        .args(["monitor", "--tui", "--id", "1000", "--group", group, "--parent", &own.as_raw_nonzero().to_string()])
-        .spawn()
-        .context("the live view")?;
-    let wait = move || {
-        let interrupted = view.wait().is_ok_and(|status| status.code() == Some(i32::from(Exit::Interrupted.code())));
-        if interrupted {
-            let _ = rustix::process::kill_process(own, rustix::process::Signal::INT);
-        }
-    };
-    Ok(std::thread::Builder::new().name("view".to_owned()).spawn(wait)?)
 }
 
 /// On a terminal only. Nothing when piped or with `--json`.

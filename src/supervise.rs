@@ -7,6 +7,7 @@
 mod child;
 mod control;
 mod ending;
+mod faults;
 mod prolong;
 mod record;
 mod roster;
@@ -36,7 +37,8 @@ use crate::processes;
 use crate::signals::Stop;
 use child::Child;
 use control::Control;
-pub use control::{Answer, FILE as CONTROL_FILE, SwapReport, SwapRequest, connect};
+pub use control::{Answer, FILE as CONTROL_FILE, FaultReport, FaultRequest, Request, SwapReport, SwapRequest, connect};
+use faults::Hanging;
 use record::privileges;
 pub use record::{Death, ProcessRecord, Record};
 use roster::RosterFile;
@@ -118,6 +120,10 @@ struct Supervisor<'a> {
     retirements: Vec<Retirement>,
     control: Control,
     swap: Option<Swapping>,
+    /// The controller that was stopped on purpose, until it goes on.
+    hanging: Option<Hanging>,
+    /// Until when an injected fault lasts: one at a time.
+    fault_until_ns: u64,
     /// For the account of a swap; looked at while one is under way.
     records: Subscriber<TickRecord>,
     /// The number of the next controller that is started.
@@ -176,6 +182,8 @@ impl<'a> Supervisor<'a> {
             retirements: Vec::new(),
             control: Control::open(&group).context("the group's socket")?,
             swap: None,
+            hanging: None,
+            fault_until_ns: 0,
             records: node.subscriber(TickRecord::DEPTH)?,
             next_id: cast::controllers(scenario).iter().map(|part| part.id).max().unwrap_or(0) + 1,
             deaths: Vec::new(),
@@ -253,7 +261,9 @@ impl<'a> Supervisor<'a> {
         let period_ns = if self.lockstep() { 0 } else { self.scenario.period_ns() };
         let mut watchdog = Watchdog::new(clock::now_ns(), period_ns);
         loop {
-            self.wait_for_an_end(if self.swap.is_some() { SWAP_LOOK_NS } else { LOOK_NS });
+            self.resume_due();
+            let look_ns = if self.swap.is_some() { SWAP_LOOK_NS } else { LOOK_NS };
+            self.wait_for_an_end(self.until_resumed_ns().map_or(look_ns, |ns| ns.min(look_ns)));
             self.listen();
             if let Some(exit) = self.options.stop.requested() {
                 return End::Stopped(exit);
@@ -262,7 +272,7 @@ impl<'a> Supervisor<'a> {
                 return end;
             }
             self.start_due();
-            self.serve_swaps();
+            self.serve_clients();
             self.retire_due();
             self.prolong_if_undecided();
             self.options.progress.set_position(self.tick());

@@ -8,7 +8,7 @@ use loopbound_shared::law::LawKind;
 use loopbound_shared::scenario::parse_duration;
 
 use crate::exit::{Exit, Failure};
-use crate::supervise::{Answer, SwapReport, SwapRequest, connect};
+use crate::supervise::{Answer, Request, SwapReport, SwapRequest, connect};
 
 /// `loopbound swap`.
 #[derive(Debug, Args)]
@@ -60,10 +60,10 @@ pub fn run(args: &SwapArgs) -> anyhow::Result<Exit> {
         blend_ns: args.blend,
         force: args.force,
     };
-    let report = match connect(&args.group, &request)? {
+    let report = match connect(&args.group, &Request::Swap(request))? {
         Some(Answer::Report(report)) => *report,
         Some(Answer::Usage(why)) => return Err(Failure::usage(why).into()),
-        None => SwapReport {
+        Some(Answer::Fault(_)) | None => SwapReport {
             group: args.group.clone(),
             result: "refused".to_owned(),
             reason: Some("the group ended".to_owned()),

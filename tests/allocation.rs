@@ -20,7 +20,8 @@ use std::thread::{self, JoinHandle};
 use loopbound_shared::cast;
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::{Bell, ControlBlock};
-use loopbound_shared::event::{CommandKind, Phase, ReplyKind};
+use loopbound_shared::event::{CommandKind, LiveFault, Phase, ReplyKind};
+use loopbound_shared::fault::board::Injected;
 use loopbound_shared::group::Group;
 use loopbound_shared::ports::{CommandClient, Node, Subscriber};
 use loopbound_shared::role::{RoleArgs, RoleError};
@@ -218,12 +219,19 @@ impl Threads {
 /// published: two samples a tick by the plant, one by each controller.
 #[track_caller]
 fn assert_only_notes(name: &str, scenario: &str, from: u64, to: u64) {
+    assert_only_notes_with(name, scenario, from, to, |_| ());
+}
+
+/// The same, with something done once the clock runs, before what is counted.
+#[track_caller]
+fn assert_only_notes_with(name: &str, scenario: &str, from: u64, to: u64, prepare: impl FnOnce(&Threads)) {
     let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
     let quiet = "[realtime]\npriority = 0\nlock_memory = false\ndma_latency = false\n";
     let scenario = Scenario::from_toml(&format!("{quiet}{scenario}"), name).expect("a scenario");
     let controllers = cast::controllers(&scenario).len() as u64;
     let threads = Threads::start(name, &scenario);
     threads.begin(&scenario);
+    prepare(&threads);
     let first = threads.wait_for_tick(from);
     COUNTS.iter().for_each(Counts::forget_sizes);
     let before = [PLANT, CONTROLLERS].map(|place| COUNTS[place].so_far());
@@ -260,6 +268,19 @@ fn the_realtime_loops_allocate_nothing_of_their_own_with_faults_and_a_failing_ac
                     [[fault]]\nkind = \"drop\"\nprobability = 0.2\n\
                     [[fault]]\nkind = \"stale-setpoint\"\nprobability = 0.2\n";
     assert_only_notes("faults", scenario, 300, 900);
+}
+
+#[test]
+fn the_realtime_loops_allocate_nothing_of_their_own_while_a_fault_befalls_them_that_was_asked_for() {
+    for kind in [LiveFault::Delay, LiveFault::Drop, LiveFault::Nan, LiveFault::Glitch] {
+        let scenario = "[controller]\nstandby = 1\n";
+        assert_only_notes_with(kind.name(), scenario, 300, 900, |threads| {
+            let (target, first, end, delay_ns) = (1, 400, 500, 200_000);
+            let (command, option) = (CommandKind::Fault.code(), u64::from(kind.code()));
+            threads.ask(Command { kind: command, controller: target, tick: first, ns: 100_000_000, option });
+            threads.block.faults().write(&Injected { kind, target, first, end, delay_ns, value_nm: 1.0 });
+        });
+    }
 }
 
 #[test]

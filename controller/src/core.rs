@@ -1,6 +1,7 @@
 //! One tick of a controller without a clock: setpoint, law, injected faults. All modes drive this same code.
 
 use loopbound_shared::event::{self, Phase};
+use loopbound_shared::fault::board::{Board, Injected};
 use loopbound_shared::fault::{FaultActions, FaultPlan};
 use loopbound_shared::law::LawKind;
 use loopbound_shared::realtime::Privileges;
@@ -17,6 +18,9 @@ pub struct ControllerCore<C> {
     /// The setpoints that have come.
     pub setpoints: SetpointBook,
     faults: FaultPlan,
+    /// The newest one that was injected by command, and the board's version then.
+    injected: Option<Injected>,
+    board_seen: u64,
     id: u32,
     links: usize,
     virtual_time: bool,
@@ -32,6 +36,8 @@ impl<C: Controller> ControllerCore<C> {
             controller,
             setpoints: SetpointBook::new(scenario.period_ns()),
             faults: FaultPlan::for_target(scenario, Role::Controller, id),
+            injected: None,
+            board_seen: 0,
             id,
             links: scenario.links(),
             virtual_time: scenario.loop_.mode == Mode::Lockstep,
@@ -60,7 +66,16 @@ impl<C: Controller> ControllerCore<C> {
     /// What befalls this controller in a tick, on purpose.
     #[must_use]
     pub fn faults_at(&self, tick: u64) -> FaultActions {
-        self.faults.at_tick(tick)
+        let mut actions = self.faults.at_tick(tick);
+        if let Some(injected) = &self.injected {
+            injected.add_to(&mut actions, self.id, tick);
+        }
+        actions
+    }
+
+    /// Looks for a fault that was injected by command since the last look.
+    pub fn heed(&mut self, board: &Board) {
+        self.injected = board.read_newer(&mut self.board_seen).or(self.injected);
     }
 
     /// An instant as this process stamps it: the clock may have been set wrong on purpose.

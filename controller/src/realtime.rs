@@ -110,6 +110,7 @@ pub(crate) fn run<C: Controller>(
         let mapping_from_ns = clock::now_ns();
         ports.update_connections();
         mapped = clock::now_ns() - mapping_from_ns > role::MAPPING_NS;
+        core.heed(block.faults());
         evidence_now = evidence.read();
     }
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use loopbound_shared::event::{Acceptance, Decision, HappeningKind, Refusal};
+use loopbound_shared::event::{Acceptance, Decision, HappeningKind, LiveFault, Refusal};
 use loopbound_shared::sample::Happening;
 use serde_json::{Map, Value, json};
 
@@ -156,6 +156,9 @@ impl Event {
                 if matches!(kind, Some(HappeningKind::Rollback | HappeningKind::SwapRefused)) {
                     put("reason", json!(refusal(happening.detail)));
                 }
+                if kind == Some(HappeningKind::FaultInjected) {
+                    put("fault", json!(fault(happening.detail)));
+                }
             }
         }
         Value::Object(line).to_string()
@@ -166,6 +169,12 @@ impl Event {
 #[must_use]
 pub fn refusal(code: u64) -> &'static str {
     u32::try_from(code).ok().and_then(Refusal::from_code).map_or("a reason this build does not know", Refusal::name)
+}
+
+/// The name of a `LiveFault` code.
+#[must_use]
+pub fn fault(code: u64) -> &'static str {
+    u32::try_from(code).ok().and_then(LiveFault::from_code).map_or("a fault this build does not know", LiveFault::name)
 }
 
 /// Events that wait to be written, in a place of fixed size, and counts of all that ever were.
@@ -235,6 +244,14 @@ mod tests {
         assert_eq!(
             (&line["tick"], &line["cause"], &line["magnitude_ns"]),
             (&json!(5), &json!("run_queue_delay"), &json!(7))
+        );
+        let detail = u64::from(LiveFault::Hang.code());
+        let kind = HappeningKind::FaultInjected.code();
+        let injected = EventKind::Happening(Happening { kind, subject: 2, detail, value: 7.0 });
+        let line: Value = serde_json::from_str(&Event { tick: 5, plant_ns: 0, kind: injected }.to_json()).unwrap();
+        assert_eq!(
+            (&line["kind"], &line["fault"], &line["subject"]),
+            (&json!("fault injected"), &json!("hang"), &json!(2))
         );
         let promise = EventKind::Promise { v: f64::NAN, v_bound: 1.0 };
         let line: Value = serde_json::from_str(&Event { tick: 0, plant_ns: 0, kind: promise }.to_json()).unwrap();

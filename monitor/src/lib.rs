@@ -12,6 +12,7 @@
 //! | [`chart`] | pictures, as SVG and PNG |
 //! | [`files`], `traces`, [`plot`] | the files of a run, written by a thread of their own; percentile plots |
 //! | [`recording`] | `samples.mcap`: what viewers open and `replay` reads |
+//! | [`live`] | the same messages to Foxglove while the group runs |
 //! | [`report`] | `report.html`, the page of a run or of two |
 //! | [`tui`] | the live view on a terminal |
 //! | [`run`] | the process: attach, drain, report, leave |
@@ -27,6 +28,7 @@ mod host;
 pub mod jitter;
 pub mod judge;
 pub mod late;
+pub mod live;
 mod members;
 pub mod plot;
 pub mod recording;

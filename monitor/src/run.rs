@@ -23,6 +23,7 @@ use loopbound_shared::with_links;
 
 use crate::files::{Recorder, write_summary};
 use crate::judge::Judge;
+use crate::live::{Address, Live, LiveError};
 use crate::members::Members;
 use crate::recording::{About, Started};
 use crate::render::render;
@@ -45,6 +46,10 @@ const DRAIN_NS: u64 = 50_000_000;
 const DEAD_SILENCE_NS: u64 = 300_000_000;
 /// Silence, without a plant that lives, after which there is no group.
 const SILENCE_NS: u64 = 10_000_000_000;
+/// How long a group that is just being started is waited for.
+pub(crate) const START_NS: u64 = 10_000_000_000;
+/// Between two attempts to join it.
+const JOIN_AGAIN_NS: u64 = 20_000_000;
 /// Length of the intervals of `latency.hlog`.
 const INTERVAL_NS: u64 = 1_000_000_000;
 
@@ -67,6 +72,8 @@ pub struct MonitorArgs {
     pub managed: bool,
     /// Leave after this time.
     pub duration_ns: Option<u64>,
+    /// Where the group is served to Foxglove.
+    pub foxglove: Option<Address>,
 }
 
 /// Why the watching ended.
@@ -115,12 +122,7 @@ pub fn run(args: &MonitorArgs, stop: &AtomicBool) -> Result<Outcome, RoleError> 
     if let Some(parent) = args.parent {
         die_with_parent(parent).map_err(|e| RoleError::Other(format!("the supervisor is gone: {e}")))?;
     }
-    let joined = join(&RoleArgs {
-        group: args.group.clone(),
-        id: args.id,
-        scenario: args.scenario.clone().unwrap_or_else(|| runtime_folder().join(&args.group).join("scenario.toml")),
-        parent: args.parent,
-    })?;
+    let joined = if args.managed { join(&role_args(args))? } else { join_soon(args, stop)? };
     let links = joined.scenario.links();
     validate(&joined.scenario.expect).map_err(|e| RoleError::Other(format!("expect: {e}")))?;
     let outcome = with_links!(links, watch::<N>(args, &joined, stop))?;
@@ -139,6 +141,23 @@ fn suffer(faults: &FaultPlan, record: &TickRecord, last_tick: Option<u64>) {
         }
         if actions.hang_ns > 0 {
             sleep_ns(actions.hang_ns);
+        }
+    }
+}
+
+fn role_args(args: &MonitorArgs) -> RoleArgs {
+    let scenario = args.scenario.clone().unwrap_or_else(|| runtime_folder().join(&args.group).join("scenario.toml"));
+    RoleArgs { group: args.group.clone(), id: args.id, scenario, parent: args.parent }
+}
+
+/// Joins as a guest. A group that this guest was started with may still be on its way.
+pub(crate) fn join_soon(args: &MonitorArgs, stop: &AtomicBool) -> Result<Joined, RoleError> {
+    let role = role_args(args);
+    let give_up_ns = now_ns() + if args.parent.is_some() { START_NS } else { 0 };
+    loop {
+        match join(&role) {
+            Err(_) if now_ns() < give_up_ns && !stop.load(SeqCst) => sleep_ns(JOIN_AGAIN_NS),
+            done => return done,
         }
     }
 }
@@ -163,6 +182,7 @@ struct Watch<'a, const N: usize> {
     tracker: Tracker<N>,
     members: Members,
     recorder: Option<Recorder>,
+    live: Option<Live>,
     started_ns: u64,
     interval_from_ns: u64,
     judged_blocks: usize,
@@ -178,6 +198,8 @@ impl<'a, const N: usize> Watch<'a, N> {
         let config = Config::of(scenario);
         let other = |e: &dyn std::fmt::Display| RoleError::Other(e.to_string());
         let judge = Judge::new(scenario).map_err(|e| other(&e))?;
+        // Before any file is opened: a refused address must not cost the files of an earlier run.
+        let live = args.foxglove.as_ref().map(|address| serve(address, args, scenario)).transpose()?;
         let recorder = match &args.out {
             None => None,
             Some(folder) => {
@@ -198,6 +220,7 @@ impl<'a, const N: usize> Watch<'a, N> {
             tracker: Tracker::new(config, Some(judge)),
             members: Members::default(),
             recorder,
+            live,
             started_ns: now_ns,
             interval_from_ns: now_ns,
             judged_blocks: 0,
@@ -245,14 +268,17 @@ impl<'a, const N: usize> Watch<'a, N> {
 
     /// Takes a batch of records. Returns how many there were.
     fn drain(&mut self) -> usize {
-        let mut count = 0;
+        let (mut count, batch_ns) = (0, now_ns());
         while count < BATCH_MAX {
-            let (tracker, last_seen) = (&mut self.tracker, &mut self.last_seen);
-            let (recorder, faults) = (&mut self.recorder, &self.faults);
-            let taken = self.records.take_with(|record| {
+            let Self { records, tracker, recorder, live, last_seen, faults, .. } = self;
+            let taken = records.take_with(|record| {
                 suffer(faults, record, tracker.last_tick());
                 *last_seen |= record.flags & record_flag::LAST != 0;
-                if let (Some(row), Some(recorder)) = (tracker.feed(record), recorder) {
+                let Some(row) = tracker.feed(record) else { return };
+                if let Some(live) = live {
+                    live.tick(record, &row, batch_ns);
+                }
+                if let Some(recorder) = recorder {
                     recorder.tick(record, row);
                 }
             });
@@ -264,14 +290,21 @@ impl<'a, const N: usize> Watch<'a, N> {
         if count > 0 {
             self.last_record_ns = now_ns();
             self.grant();
-            let recorder = &mut self.recorder;
-            self.tracker.drain_events().for_each(|event| {
-                if let Some(recorder) = recorder {
-                    recorder.event(event);
-                }
-            });
+            self.pass_events_on();
         }
         count
+    }
+
+    fn pass_events_on(&mut self) {
+        let Self { tracker, recorder, live, .. } = self;
+        for event in tracker.drain_events() {
+            if let Some(live) = live {
+                live.event(&event);
+            }
+            if let Some(recorder) = recorder {
+                recorder.event(event);
+            }
+        }
     }
 
     /// Tells the plant how far it may go, so that the launcher's monitor gets every record.
@@ -292,6 +325,9 @@ impl<'a, const N: usize> Watch<'a, N> {
             if let Some(recorder) = &mut self.recorder {
                 recorder.announce(&announce);
             }
+        }
+        if let Some(live) = &mut self.live {
+            live.care(now_ns);
         }
         let duration_ns = now_ns.saturating_sub(self.interval_from_ns);
         if duration_ns >= INTERVAL_NS {
@@ -370,6 +406,10 @@ impl<'a, const N: usize> Watch<'a, N> {
         self.care(now_ns());
         self.close_interval(now_ns());
         self.tracker.finish();
+        self.pass_events_on();
+        if let Some(live) = self.live.take() {
+            live.stop();
+        }
         let mut summary = self.tracker.summarise();
         let scenario = &self.joined.scenario;
         summary.group.clone_from(&self.args.group);
@@ -380,9 +420,6 @@ impl<'a, const N: usize> Watch<'a, N> {
         summary.host = crate::host::describe();
         summary.scenario = serde_json::to_value(scenario).unwrap_or_default();
         if let Some(recorder) = &mut self.recorder {
-            for event in self.tracker.drain_events() {
-                recorder.event(event);
-            }
             let lost = recorder.finish().map_err(|e| RoleError::Other(format!("the files of the run: {e}")))?;
             summary.dropped.samples += lost.samples;
             summary.dropped.events += lost.events;
@@ -398,6 +435,22 @@ impl<'a, const N: usize> Watch<'a, N> {
                 .map_err(|e| RoleError::Other(format!("the files of the run: {e}")))?;
         }
         Ok(summary)
+    }
+}
+
+/// Starts to serve, and says where: the port may have been left to the system.
+fn serve(address: &Address, args: &MonitorArgs, scenario: &Scenario) -> Result<Live, RoleError> {
+    let lockstep = scenario.loop_.mode == Mode::Lockstep;
+    let live = Live::start(address, &about(args, scenario)?, scenario.period_ns(), lockstep).map_err(refused)?;
+    let whom = if address.is_loopback() { "this machine" } else { "every machine that can reach this one" };
+    eprintln!("loopbound: group {} is live for Foxglove on {whom} at {}", args.group, live.url());
+    Ok(live)
+}
+
+fn refused(error: LiveError) -> RoleError {
+    match error {
+        LiveError::Bind { .. } | LiveError::Absent => RoleError::Usage(error.to_string()),
+        LiveError::Server(_) => RoleError::Other(error.to_string()),
     }
 }
 

@@ -13,10 +13,11 @@ use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
-use loopbound_shared::clock::{now_ns, sleep_ns};
+use loopbound_shared::clock::now_ns;
+use loopbound_shared::event::LiveFault;
 use loopbound_shared::group::runtime_folder;
 use loopbound_shared::law::LawKind;
-use loopbound_shared::role::{Joined, RoleArgs, RoleError, join};
+use loopbound_shared::role::{Joined, RoleError};
 use loopbound_shared::sample::{Announce, TickRecord, record_flag};
 use loopbound_shared::topics::Topic;
 use loopbound_shared::with_links;
@@ -24,8 +25,8 @@ use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event as Input, KeyCode, KeyEventKind, KeyModifiers};
 use serde_json::{Value, json};
 
-use crate::run::MonitorArgs;
-use model::Model;
+use crate::run::{MonitorArgs, START_NS, join_soon};
+use model::{Model, Wish};
 
 /// Between two pictures.
 const PICTURE: Duration = Duration::from_millis(50);
@@ -33,8 +34,6 @@ const PICTURE: Duration = Duration::from_millis(50);
 const DRAIN_NS: u64 = 100_000_000;
 /// Between two points of a sparkline.
 const INTERVAL_NS: u64 = 500_000_000;
-/// How long a group that is just being started is waited for.
-const START_NS: u64 = 10_000_000_000;
 /// Silence after which the group is gone.
 const SILENCE_NS: u64 = 5_000_000_000;
 /// A swap takes its gate and the watch after it.
@@ -59,19 +58,6 @@ pub fn run(args: &MonitorArgs, stop: &AtomicBool) -> Result<Left, RoleError> {
     let joined = join_soon(args, stop)?;
     let links = joined.scenario.links();
     with_links!(links, watch::<N>(args, &joined, stop))
-}
-
-/// A group that this view was started with may still be on its way.
-fn join_soon(args: &MonitorArgs, stop: &AtomicBool) -> Result<Joined, RoleError> {
-    let scenario = args.scenario.clone().unwrap_or_else(|| runtime_folder().join(&args.group).join("scenario.toml"));
-    let role = RoleArgs { group: args.group.clone(), id: args.id, scenario, parent: args.parent };
-    let give_up_ns = now_ns() + if args.parent.is_some() { START_NS } else { 0 };
-    loop {
-        match join(&role) {
-            Err(_) if now_ns() < give_up_ns && !stop.load(SeqCst) => sleep_ns(20_000_000),
-            done => return done,
-        }
-    }
 }
 
 fn watch<const N: usize>(args: &MonitorArgs, joined: &Joined, stop: &AtomicBool) -> Result<Left, RoleError> {
@@ -113,9 +99,11 @@ fn watch<const N: usize>(args: &MonitorArgs, joined: &Joined, stop: &AtomicBool)
             break Ok(Left::Ended);
         }
         match keys(&mut terminal, &mut model) {
-            Ok(Key::None) => {}
-            Ok(Key::Swap) => answers = Some(swap(&args.group, &mut model)),
-            Ok(Key::Leave(left)) => break Ok(left),
+            Ok(Key::Wish(Wish::Nothing)) => {}
+            Ok(Key::Wish(Wish::Swap)) => answers = Some(swap(&args.group, &mut model)),
+            Ok(Key::Wish(Wish::Fault(fault))) => answers = Some(strike(&args.group, &mut model, fault)),
+            Ok(Key::Wish(Wish::Quit)) => break Ok(Left::Quit),
+            Ok(Key::Interrupt) => break Ok(Left::Interrupted),
             Err(error) => break Err(error),
         }
     };
@@ -124,29 +112,24 @@ fn watch<const N: usize>(args: &MonitorArgs, joined: &Joined, stop: &AtomicBool)
 }
 
 enum Key {
-    None,
-    Swap,
-    Leave(Left),
+    Wish(Wish),
+    Interrupt,
 }
 
 /// Waits for a key until the next picture is due.
 fn keys<const N: usize>(terminal: &mut DefaultTerminal, model: &mut Model<N>) -> io::Result<Key> {
     if !event::poll(PICTURE)? {
-        return Ok(Key::None);
+        return Ok(Key::Wish(Wish::Nothing));
     }
     match event::read()? {
         Input::Key(key) if key.kind == KeyEventKind::Press => Ok(match key.code {
-            KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => Key::Leave(Left::Interrupted),
-            KeyCode::Char('q') | KeyCode::Esc => Key::Leave(Left::Quit),
-            KeyCode::Char(' ') => {
-                model.paused = !model.paused;
-                Key::None
-            }
-            KeyCode::Char('s') => Key::Swap,
-            _ => Key::None,
+            KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => Key::Interrupt,
+            KeyCode::Char(key) => Key::Wish(model.press(key)),
+            KeyCode::Esc => Key::Wish(model.press('\u{1b}')),
+            _ => Key::Wish(Wish::Nothing),
         }),
-        Input::Resize(..) => terminal.autoresize().map(|()| Key::None),
-        _ => Ok(Key::None),
+        Input::Resize(..) => terminal.autoresize().map(|()| Key::Wish(Wish::Nothing)),
+        _ => Ok(Key::Wish(Wish::Nothing)),
     }
 }
 
@@ -160,33 +143,70 @@ fn swap<const N: usize>(group: &str, model: &mut Model<N>) -> Receiver<String> {
         Some(id) => (format!("controller {id}"), json!({"to": id, "force": false})),
         None => (next.to_owned(), json!({"law": next, "force": false})),
     };
-    model.answer = format!("swap to {wanted} …");
+    command(group, model, "swap", &format!("swap to {wanted}"), request)
+}
+
+/// Asks the supervisor for a fault of the controller in charge.
+fn strike<const N: usize>(group: &str, model: &mut Model<N>, fault: LiveFault) -> Receiver<String> {
+    let (active, _) = model.in_charge();
+    let request = json!({"fault": {"kind": fault.name(), "controller": active}});
+    command(group, model, "fault", &format!("fault {fault} of controller {active}"), request)
+}
+
+/// Sends a request on a thread of its own.
+fn command<const N: usize>(
+    group: &str,
+    model: &mut Model<N>,
+    what: &'static str,
+    words: &str,
+    request: Value,
+) -> Receiver<String> {
+    model.answer = format!("{words} …");
     let (sender, answers) = channel();
     let path = runtime_folder().join(group).join("control");
     let ask = move || {
-        let answer = ask(&path, &request).unwrap_or_else(|error| format!("no swap: {error}"));
+        let answer = ask(&path, what, &request).unwrap_or_else(|error| format!("no {what}: {error}"));
         // The view may be gone by now.
         let _ = sender.send(answer);
     };
-    if let Err(error) = std::thread::Builder::new().name("swap".to_owned()).spawn(ask) {
-        model.answer = format!("no swap: {error}");
+    if let Err(error) = std::thread::Builder::new().name("command".to_owned()).spawn(ask) {
+        model.answer = format!("no {what}: {error}");
     }
     answers
 }
 
 /// One line of JSON to the supervisor, one back.
-fn ask(path: &Path, request: &Value) -> io::Result<String> {
+fn ask(path: &Path, what: &str, request: &Value) -> io::Result<String> {
     let mut stream = UnixStream::connect(path)?;
     stream.set_read_timeout(Some(ANSWER_WITHIN))?;
     writeln!(stream, "{request}")?;
     let mut line = String::new();
     BufReader::new(stream).read_line(&mut line)?;
-    let answer: Value = serde_json::from_str(&line)?;
-    let report = &answer["report"];
+    Ok(words(what, &serde_json::from_str(&line)?))
+}
+
+/// An answer in a few words.
+fn words(what: &str, answer: &Value) -> String {
+    let report = if what == "fault" { &answer["fault"] } else { &answer["report"] };
     let text = |value: &Value| value.as_str().map(str::to_owned);
-    let result = text(&report["result"]).or_else(|| text(&answer["usage"])).unwrap_or_else(|| line.trim().to_owned());
-    Ok(match text(&report["reason"]) {
-        Some(reason) => format!("swap {result}: {reason}"),
-        None => format!("swap {result}"),
-    })
+    let result = text(&report["result"]).or_else(|| text(&answer["usage"])).unwrap_or_else(|| answer.to_string());
+    let what = text(&report["kind"]).map_or_else(|| what.to_owned(), |kind| format!("{what} {kind}"));
+    match text(&report["reason"]) {
+        Some(reason) => format!("{what} {result}: {reason}"),
+        None => format!("{what} {result}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_answer_says_what_came_of_it_and_why() {
+        let done = json!({"fault": {"kind": "hang", "result": "done", "reason": null}});
+        assert_eq!(words("fault", &done), "fault hang done");
+        let refused = json!({"report": {"result": "refused", "reason": "too soon"}});
+        assert_eq!(words("swap", &refused), "swap refused: too soon");
+        assert_eq!(words("swap", &json!({"usage": "in lockstep …"})), "swap in lockstep …");
+    }
 }

@@ -6,7 +6,7 @@
 
 use std::collections::VecDeque;
 
-use loopbound_shared::event::{Decision, HappeningKind, ReplyKind};
+use loopbound_shared::event::{Decision, HappeningKind, LiveFault, ReplyKind};
 use loopbound_shared::integrator::{PlantState, integrate};
 use loopbound_shared::realtime::Evidence;
 use loopbound_shared::sample::{
@@ -194,6 +194,15 @@ impl<const N: usize> PlantCore<N> {
         self.authority.happen(HappeningKind::Joined, 0, took_ns, 0.0);
     }
 
+    /// Marks the open tick as one that an injected fault befalls. At the first one, which it is, whom it befalls, and for
+    /// how many ticks.
+    pub fn note_fault(&mut self, begins: Option<(LiveFault, u32, u64)>) {
+        self.record.flags |= record_flag::FAULT_INJECTED;
+        if let Some((kind, target, ticks)) = begins {
+            self.authority.happen(HappeningKind::FaultInjected, target, u64::from(kind.code()), ticks as f64);
+        }
+    }
+
     /// The record of the tick that was closed last; none before the first.
     #[must_use]
     pub fn closed(&self) -> Option<&TickRecord> {
@@ -221,7 +230,7 @@ impl<const N: usize> PlantCore<N> {
         &self.state
     }
 
-    /// Carries out what concerns authority; the loop handles start and stop.
+    /// Carries out what concerns authority; the loop handles start, stop and faults.
     pub fn command(&mut self, command: &Command) -> Reply {
         use loopbound_shared::event::{CommandKind, Refusal};
         let done = Reply { kind: ReplyKind::Done.code(), tick: self.authority.tick(), ..Reply::zeroed() };
@@ -233,7 +242,7 @@ impl<const N: usize> PlantCore<N> {
             }
             Some(CommandKind::Swap) => return self.authority.request_swap(command),
             Some(CommandKind::SwapStatus) => return self.authority.swap_status(command.controller),
-            Some(CommandKind::Start | CommandKind::StopAt) | None => Err(Refusal::BadCommand),
+            Some(CommandKind::Start | CommandKind::StopAt | CommandKind::Fault) | None => Err(Refusal::BadCommand),
         };
         outcome.map_or_else(Authority::refused, |()| done)
     }

@@ -3,12 +3,14 @@
 use std::sync::atomic::Ordering;
 
 use loopbound_shared::doorbell::Bell;
-use loopbound_shared::event::{CommandKind, Refusal, ReplyKind};
+use loopbound_shared::event::{CommandKind, LiveFault, Refusal, ReplyKind};
 use loopbound_shared::fault::FaultPlan;
 use loopbound_shared::ports::{CommandServer, Publisher, Subscriber};
 use loopbound_shared::role::{Joined, RoleError};
-use loopbound_shared::sample::{Announce, Reply, Setpoint, State, TickRecord, Torque, WARM_UP_TICK, state_flag};
-use loopbound_shared::scenario::Role;
+use loopbound_shared::sample::{
+    Announce, Command, Reply, Setpoint, State, TickRecord, Torque, WARM_UP_TICK, state_flag,
+};
+use loopbound_shared::scenario::{Mode, Role};
 use loopbound_shared::wakeup::{Ringer, Waiter};
 
 use crate::authority::Authority;
@@ -37,6 +39,38 @@ pub(crate) struct Orders {
     pub(crate) start: bool,
     /// The tick at which to end, not published any more.
     pub(crate) stop_at: Option<u64>,
+    /// The fault that was injected last into a controller.
+    pub(crate) struck: Option<Struck>,
+}
+
+/// The ticks in which an injected fault shows: those that follow from it are put down to it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Struck {
+    kind: LiveFault,
+    target: u32,
+    first: u64,
+    end: u64,
+    noted: bool,
+}
+
+impl Struck {
+    fn of(command: &Command, tick: u64, period_ns: u64) -> Option<Self> {
+        let kind = u32::try_from(command.option).ok().and_then(LiveFault::from_code)?;
+        // The present tick has been decided.
+        let first = command.tick.max(tick + 1);
+        let end = first.saturating_add(command.ns.div_ceil(period_ns));
+        Some(Self { kind, target: command.controller, first, end, noted: false })
+    }
+
+    /// Marks `tick`, if it is one of them and nobody else has taken over.
+    pub(crate) fn mark<const N: usize>(&mut self, core: &mut PlantCore<N>, tick: u64) {
+        let (active, _) = core.authority.active();
+        if !(self.first..self.end).contains(&tick) || (active != self.target && active != 0) {
+            return;
+        }
+        let first_time = !std::mem::replace(&mut self.noted, true);
+        core.note_fault(first_time.then_some((self.kind, self.target, self.end - self.first)));
+    }
 }
 
 impl Ports {
@@ -104,6 +138,15 @@ impl Ports {
                 Some(CommandKind::StopAt) => {
                     orders.stop_at = Some(command.tick);
                     done
+                }
+                // In lockstep no tick is marked: there faults are the scenario's.
+                Some(CommandKind::Fault) if self.joined.scenario.loop_.mode == Mode::Realtime => {
+                    let period_ns = self.joined.scenario.period_ns();
+                    let Some(struck) = Struck::of(command, core.authority.tick(), period_ns) else {
+                        return Authority::refused(Refusal::BadCommand);
+                    };
+                    orders.struck = Some(struck);
+                    Reply { tick: struck.first, ..done }
                 }
                 _ => core.command(command),
             }

@@ -210,6 +210,9 @@ fn one_tick<const N: usize>(
     let (mut state, mut gap_ns) = (opened.state, opened.gap_ns);
     let tick = state.tick;
     let faults = suffering.begin(core, ports, tick);
+    if let Some(struck) = &mut orders.struck {
+        struck.mark(core, tick);
+    }
     let now_ns = clock::now_ns();
     let (published_ns, grace_deadline_ns) = (suffering.stamp_ns(now_ns), times.grace_deadline_ns(tick, now_ns));
     (state.published_ns, state.grace_deadline_ns) = (published_ns, grace_deadline_ns);

@@ -165,7 +165,7 @@ impl Authority {
             to: command.controller,
             at_tick: command.tick,
             blend_ticks: command.ns.div_ceil(self.rules.period_ns),
-            force: command.force != 0,
+            force: command.option != 0,
             since_tick: self.tick,
         });
         Reply { kind: ReplyKind::Pending.code(), tick: command.tick, ..Reply::zeroed() }

@@ -48,7 +48,7 @@ pub fn opening_commands(scenario: &Scenario, stop_tick: u64) -> Vec<Command> {
             // Tick 0 is no boundary to switch at, and means "as soon as possible" besides.
             tick: swap.at.tick(scenario.period_ns()).max(1),
             ns: swap.blend.unwrap_or(scenario.swap_gate.blend).ns(),
-            force: u64::from(swap.force),
+            option: u64::from(swap.force),
             ..command(CommandKind::Swap, to)
         });
     }

@@ -1,5 +1,5 @@
 //! The group's control block: doorbells (futex words) that wake a process for a fraction of what an event costs, and
-//! the few numbers that lockstep paces itself by.
+//! the few numbers that lockstep paces itself by, and the board of injected faults.
 //!
 //! It lies in a file of the group's folder in memory, mapped by every process of the loop. A doorbell says only
 //! "look again"; what there is to see travels by iceoryx2.
@@ -17,6 +17,7 @@ use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
 use rustix::thread::futex;
 
 use crate::clock;
+use crate::fault::board::Board;
 use crate::layout::{FNV_START, fnv1a};
 
 /// Processes of a group that can wait at a doorbell, each with a place of its own.
@@ -34,7 +35,7 @@ pub enum Bell {
 }
 
 const BELLS: usize = 3;
-const MAGIC: u64 = fnv1a(FNV_START, b"loopbound control block 2: bells 3, places 32, pace");
+const MAGIC: u64 = fnv1a(FNV_START, b"loopbound control block 3: bells 3, places 32, pace, faults 6");
 
 #[repr(C, align(64))]
 struct BellWords {
@@ -50,6 +51,7 @@ struct Shared {
     places: [AtomicU32; PLACES],
     bells: [BellWords; BELLS],
     pace: Pace,
+    faults: Board,
 }
 
 /// Numbers that lockstep is paced by; in realtime mode they only inform.
@@ -146,6 +148,12 @@ impl ControlBlock {
     #[must_use]
     pub fn pace(&self) -> &Pace {
         &self.shared().pace
+    }
+
+    /// The faults that were injected by command.
+    #[must_use]
+    pub fn faults(&self) -> &Board {
+        &self.shared().faults
     }
 
     /// Frees the place and the marks of a process that is gone. The supervisor's, once it has reaped that process.

@@ -127,7 +127,8 @@ codes! {
         MemberAdded = 8, "member added";
         /// A controller is no member any more. Subject: its id.
         MemberRemoved = 9, "member removed";
-        /// The plant's own injected fault. Subject: fault kind.
+        /// A fault was injected by command. Subject: the controller it befalls; detail: a `LiveFault` code; value: its
+        /// length in ticks.
         FaultInjected = 10, "fault injected";
         /// A blend ended. Subject: controller id.
         BlendEnded = 11, "blend ended";
@@ -147,6 +148,24 @@ codes! {
         Swap = 5, "swap";
         /// Say how the swap asked for last is doing.
         SwapStatus = 6, "swap status";
+        /// A fault befalls `controller` from `tick` on for `ns`: mark those ticks. `option`: a `LiveFault` code.
+        Fault = 7, "fault";
+    }
+
+    /// Faults that can be injected by command into a controller of a running group.
+    pub enum LiveFault {
+        /// Each torque is published later.
+        Delay = 1, "delay";
+        /// No torque is published.
+        Drop = 2, "drop";
+        /// All values of each torque are not numbers.
+        Nan = 3, "nan";
+        /// The process is killed.
+        Kill = 4, "kill";
+        /// The process is stopped, and goes on after a while.
+        Hang = 5, "hang";
+        /// A torque is added to each torque's first link.
+        Glitch = 6, "glitch";
     }
 
     /// How the plant answers.
@@ -191,6 +210,27 @@ codes! {
         TimedOut = 13, "the gate did not pass in time";
         /// The controller left.
         Gone = 14, "that controller is gone";
+    }
+}
+
+/// A text that is no name of a [`LiveFault`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UnknownFault;
+
+impl core::fmt::Display for UnknownFault {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("no such fault: it is one of")?;
+        LiveFault::ALL.iter().try_for_each(|fault| write!(f, " {fault}"))
+    }
+}
+
+impl core::error::Error for UnknownFault {}
+
+impl core::str::FromStr for LiveFault {
+    type Err = UnknownFault;
+
+    fn from_str(text: &str) -> Result<Self, UnknownFault> {
+        Self::ALL.iter().copied().find(|fault| fault.name() == text).ok_or(UnknownFault)
     }
 }
 

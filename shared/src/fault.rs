@@ -3,6 +3,8 @@
 //! Responsible for the decision alone, a pure function of the scenario and the tick: any process can recompute it, and a
 //! run in lockstep repeats it. Not responsible for carrying it out, nor for refusing kinds that a role does not know.
 
+pub mod board;
+
 use crate::rng::{Stream, uniform};
 use crate::scenario::{Distribution, FaultKind, FaultSpec, PARETO_SHAPE_DEFAULT, Role, Scenario};
 

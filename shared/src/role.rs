@@ -40,6 +40,9 @@ pub enum RoleError {
     /// The control block can't be opened.
     #[error("the group's control block: {0}")]
     ControlBlock(std::io::Error),
+    /// What was asked for on the command line can't be had, said in words.
+    #[error("{0}")]
+    Usage(String),
     /// Anything else, said in words.
     #[error("{0}")]
     Other(String),

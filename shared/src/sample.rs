@@ -405,10 +405,10 @@ wire! {
         pub controller: u32,
         /// The tick at which it takes effect (0: at once).
         pub tick: u64,
-        /// Nanoseconds, by kind: t_0 for start, blend time for swap.
+        /// Nanoseconds, by kind: t_0 for start, blend time for swap, length of a fault.
         pub ns: u64,
-        /// 1: skip the gate (not the safety checks).
-        pub force: u64,
+        /// By kind. Of a swap, 1: skip the gate (not the safety checks). Of a fault, which.
+        pub option: u64,
     }
 }
 

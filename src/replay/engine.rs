@@ -10,7 +10,7 @@ use loopbound_controller::{Builtin, ControllerCore};
 use loopbound_plant::Brake;
 use loopbound_shared::cast;
 use loopbound_shared::chain::Vector;
-use loopbound_shared::event::{CommandKind, Decision, HappeningKind, Role};
+use loopbound_shared::event::{CommandKind, Decision, HappeningKind, LiveFault, Role};
 use loopbound_shared::fault::FaultPlan;
 use loopbound_shared::integrator::{PlantState, integrate};
 use loopbound_shared::law::{Law, LawInput, LawKind, fade_weight, faded};
@@ -58,6 +58,8 @@ pub struct Engine<const N: usize> {
     acting: Option<(Segment, Vector<N>)>,
     answered: VecDeque<Answered<N>>,
     fade: Option<Fade>,
+    /// The controller whose torques have a glitch that was injected by hand, and the ticks in which.
+    spoilt: Option<(u32, std::ops::Range<u64>)>,
     /// Segments whose torque was taken as recorded.
     pub as_recorded: u64,
     /// Segments whose torque was computed again.
@@ -86,6 +88,7 @@ impl<const N: usize> Engine<N> {
             acting: None,
             answered: VecDeque::with_capacity(HISTORY),
             fade: None,
+            spoilt: None,
             scenario: scenario.clone(),
             as_recorded: 0,
             recomputed: 0,
@@ -130,6 +133,7 @@ impl<const N: usize> Engine<N> {
             ..*recorded
         };
         self.note_fade(recorded);
+        self.note_glitch(recorded);
         if self.answered.len() == HISTORY {
             self.answered.pop_front();
         }
@@ -191,6 +195,10 @@ impl<const N: usize> Engine<N> {
         if segment.writer == 0 {
             return Some(self.brake.torque(&answered.input.q, &answered.input.v));
         }
+        // How large it was is in no record.
+        if self.spoilt.as_ref().is_some_and(|(id, ticks)| *id == segment.writer && ticks.contains(&answered.tick)) {
+            return None;
+        }
         let new = self.law_torque(segment.writer, answered)?;
         if !answered.blends || answered.active != segment.writer {
             return Some(new);
@@ -208,6 +216,24 @@ impl<const N: usize> Engine<N> {
             tau[link.min(N - 1)] += value_nm;
         }
         Some(tau)
+    }
+
+    /// The first tick of a fault that was injected by hand says for how many it lasts.
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "a number of ticks, and the cast saturates"
+    )]
+    fn note_glitch(&mut self, record: &TickRecord) {
+        let used = (record.happenings_used as usize).min(record.happenings.len());
+        let glitch = record.happenings[..used].iter().find(|happening| {
+            let injected = happening.kind == HappeningKind::FaultInjected.code();
+            injected && happening.detail == u64::from(LiveFault::Glitch.code())
+        });
+        if let Some(glitch) = glitch {
+            let end = record.tick.saturating_add(glitch.value as u64);
+            self.spoilt = Some((glitch.subject, record.tick..end));
+        }
     }
 
     /// A cross-fade is known where the scenario has scheduled the swap.

@@ -103,6 +103,16 @@ impl Child {
         self.signal(Signal::KILL);
     }
 
+    /// Stops it where it is, until [`Child::resume`].
+    pub(super) fn stop(&self) {
+        self.signal(Signal::STOP);
+    }
+
+    /// Lets it go on.
+    pub(super) fn resume(&self) {
+        self.signal(Signal::CONT);
+    }
+
     fn signal(&self, signal: Signal) {
         if !self.lives() {
             return;

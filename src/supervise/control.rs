@@ -1,4 +1,5 @@
-//! The socket in the group's folder by which `loopbound swap` talks to the supervisor: one line of JSON each way.
+//! The socket in the group's folder by which `loopbound swap` and `loopbound fault` talk to the supervisor: one line of JSON
+//! each way.
 //!
 //! The supervisor looks at it between its other looks, and never waits for a client longer than a moment.
 
@@ -12,6 +13,7 @@ use std::time::Duration;
 use loopbound_shared::group::Group;
 use loopbound_shared::law::LawKind;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 /// Name of the socket.
 pub const FILE: &str = "control";
@@ -36,6 +38,71 @@ pub struct SwapRequest {
     pub blend_ns: Option<u64>,
     /// Skips the gate, not the safety checks.
     pub force: bool,
+}
+
+/// What `loopbound fault` asks for. Its line is `{"fault": {…}}`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FaultRequest {
+    /// The name of a [`LiveFault`](loopbound_shared::event::LiveFault).
+    pub kind: String,
+    /// The controller that it befalls; the one in charge if none is named.
+    pub controller: Option<u32>,
+    /// How much later each torque comes; of a delay, which needs it not: late enough to be missed.
+    pub delay_ns: Option<u64>,
+    /// How long it lasts; nothing for a kill.
+    pub for_ns: Option<u64>,
+    /// What is added to the torque of the first link, N·m; of a glitch.
+    pub value_nm: Option<f64>,
+}
+
+/// What came of an injected fault.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct FaultReport {
+    /// The group.
+    pub group: String,
+    /// What was injected.
+    pub kind: String,
+    /// The controller that it befalls.
+    pub controller: u32,
+    /// The first tick that it can show in.
+    pub tick: u64,
+    /// How long it lasts; none of a kill.
+    pub for_ns: Option<u64>,
+    /// How much later each torque comes; of a delay.
+    pub delay_ns: Option<u64>,
+    /// What is added to the torque of the first link, N·m; of a glitch.
+    pub value_nm: Option<f64>,
+    /// `done` or `refused`.
+    pub result: String,
+    /// Why, where it was refused.
+    pub reason: Option<String>,
+}
+
+/// One line of a client.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Request {
+    /// Another controller.
+    Swap(SwapRequest),
+    /// A fault.
+    Fault(FaultRequest),
+}
+
+impl Request {
+    fn from_line(line: &str) -> Result<Self, serde_json::Error> {
+        let mut value: Value = serde_json::from_str(line)?;
+        match value.get_mut("fault").map(Value::take) {
+            Some(fault) => serde_json::from_value(fault).map(Self::Fault),
+            None => serde_json::from_value(value).map(Self::Swap),
+        }
+    }
+
+    fn to_line(&self) -> Result<String, serde_json::Error> {
+        match self {
+            Self::Swap(swap) => serde_json::to_string(swap),
+            Self::Fault(fault) => serde_json::to_string(&serde_json::json!({ "fault": fault })),
+        }
+    }
 }
 
 /// What came of a swap.
@@ -77,6 +144,8 @@ pub struct SwapReport {
 pub enum Answer {
     /// The swap was tried.
     Report(Box<SwapReport>),
+    /// The fault was injected, or not.
+    Fault(Box<FaultReport>),
     /// The request makes no sense here.
     Usage(String),
 }
@@ -94,10 +163,10 @@ impl Control {
     }
 
     /// The next client that waits, with what it asks for.
-    pub(super) fn accept(&self) -> Option<(Client, Result<SwapRequest, String>)> {
+    pub(super) fn accept(&self) -> Option<(Client, Result<Request, String>)> {
         let (stream, _) = self.listener.accept().ok()?;
         let line = read_line(&stream);
-        let request = line.and_then(|line| serde_json::from_str(&line).map_err(|e| e.to_string()));
+        let request = line.and_then(|line| Request::from_line(&line).map_err(|e| e.to_string()));
         Some((Client { stream }, request))
     }
 }
@@ -128,12 +197,12 @@ fn read_line(stream: &UnixStream) -> Result<String, String> {
 ///
 /// # Errors
 /// If the group is not running, or has no such socket (yet).
-pub fn connect(group: &str, request: &SwapRequest) -> anyhow::Result<Option<Answer>> {
+pub fn connect(group: &str, request: &Request) -> anyhow::Result<Option<Answer>> {
     use anyhow::Context as _;
     let path = Group::join(group)?.file(FILE);
     let mut stream = by_short_path(&path, UnixStream::connect)
         .with_context(|| format!("the supervisor of group {group} does not answer"))?;
-    writeln!(stream, "{}", serde_json::to_string(request)?)?;
+    writeln!(stream, "{}", request.to_line()?)?;
     let mut line = String::new();
     // A supervisor that is killed closes the connection.
     BufReader::new(stream).read_line(&mut line).unwrap_or(0);
@@ -155,7 +224,7 @@ mod tests {
         let name = format!("test-control-{}", std::process::id());
         let group = Group::create(&name).unwrap();
         let control = Control::open(&group).unwrap();
-        let asked = SwapRequest { law: Some(LawKind::Ctc), at_tick: Some(7), ..SwapRequest::default() };
+        let asked = Request::Swap(SwapRequest { law: Some(LawKind::Ctc), at_tick: Some(7), ..SwapRequest::default() });
         let (request, group_name) = (asked.clone(), name.clone());
         let client = std::thread::spawn(move || connect(&group_name, &request).unwrap());
         let (waiting, request) = loop {
@@ -171,17 +240,28 @@ mod tests {
     }
 
     #[test]
+    fn a_line_with_a_fault_is_one_and_any_other_is_a_swap() {
+        let fault = FaultRequest { kind: "delay".into(), delay_ns: Some(5), ..FaultRequest::default() };
+        for request in [Request::Fault(fault), Request::Swap(SwapRequest::default())] {
+            assert_eq!(Request::from_line(&request.to_line().unwrap()).unwrap(), request);
+        }
+        for line in ["{\"fault\": {\"kid\": 1}}", "{\"fault\": 3}", "{\"lwa\": \"ctc\"}", "3"] {
+            assert!(Request::from_line(line).is_err(), "{line}");
+        }
+    }
+
+    #[test]
     fn a_supervisor_that_dies_leaves_no_client_waiting_and_a_group_that_is_not_there_is_named() {
         let name = format!("test-control-dead-{}", std::process::id());
         let group = Group::create(&name).unwrap();
         let control = Control::open(&group).unwrap();
         let group_name = name.clone();
-        let client = std::thread::spawn(move || connect(&group_name, &SwapRequest::default()).unwrap());
+        let client = std::thread::spawn(move || connect(&group_name, &Request::Swap(SwapRequest::default())).unwrap());
         while control.accept().is_none() {
             loopbound_shared::clock::sleep_ns(1_000_000);
         }
         assert_eq!(client.join().unwrap(), None);
         drop((control, group));
-        assert!(connect(&name, &SwapRequest::default()).unwrap_err().to_string().contains(&name));
+        assert!(connect(&name, &Request::Swap(SwapRequest::default())).unwrap_err().to_string().contains(&name));
     }
 }

@@ -30,6 +30,7 @@ impl Supervisor<'_> {
             self.end_everyone();
             return Err(failure.into());
         }
+        self.resume();
         if self.ready_ns != 0 {
             let asked = matches!(end, End::Stopped(_) | End::Policy(_));
             let patience_ns = if !asked || self.ask_to_stop() { PLANT_NS + 2 * self.scenario.period_ns() } else { 0 };

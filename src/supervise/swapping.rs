@@ -14,7 +14,7 @@ use loopbound_shared::scenario::{Restart, Role, Scenario, ScenarioError};
 use loopbound_shared::with_links;
 
 use super::child::Child;
-use super::control::{Answer, Client, SwapReport, SwapRequest};
+use super::control::{Answer, Client, Request, SwapReport, SwapRequest};
 use super::{READY_NS, Supervisor};
 use crate::processes::Process;
 
@@ -43,18 +43,16 @@ enum Stage {
 }
 
 impl Supervisor<'_> {
-    /// Takes a new request, or goes on with the one under way.
-    pub(super) fn serve_swaps(&mut self) {
+    /// Takes new requests, and goes on with the swap under way.
+    pub(super) fn serve_clients(&mut self) {
         while let Some((client, request)) = self.control.accept() {
-            let refused = |why: &str| Answer::Usage(why.to_owned());
             match request {
                 Err(why) => client.answer(&Answer::Usage(format!("the request is not understood: {why}"))),
-                // The tick in which a new process is ready depends on the machine: no two runs would be alike.
-                Ok(_) if self.lockstep() => {
-                    client.answer(&refused("in lockstep swaps are scheduled: write them as [[swap]] in the scenario"));
-                }
-                Ok(_) if self.swap.is_some() => client.answer(&self.at_once(Refusal::Busy, 0)),
-                Ok(request) => self.begin_swap(client, request),
+                // The tick in which a command arrives depends on the machine: no two runs would be alike.
+                Ok(request) if self.lockstep() => client.answer(&Answer::Usage(only_scheduled(&request))),
+                Ok(Request::Fault(request)) => client.answer(&self.inject(&request)),
+                Ok(Request::Swap(_)) if self.swap.is_some() => client.answer(&self.at_once(Refusal::Busy, 0)),
+                Ok(Request::Swap(request)) => self.begin_swap(client, request),
             }
         }
         if let Some(swap) = self.swap.take() {
@@ -145,7 +143,7 @@ impl Supervisor<'_> {
             controller: to,
             tick: swap.request.at_tick.unwrap_or(0),
             ns: swap.request.blend_ns.unwrap_or(self.scenario.swap_gate.blend.ns()),
-            force: u64::from(swap.request.force),
+            option: u64::from(swap.request.force),
         };
         match self.command(command) {
             Ok(_) => {
@@ -225,6 +223,14 @@ impl Supervisor<'_> {
         swap.client.answer(&Answer::Report(Box::new(swap.report)));
         None
     }
+}
+
+fn only_scheduled(request: &Request) -> String {
+    let (what, key) = match request {
+        Request::Swap(_) => ("swaps", "swap"),
+        Request::Fault(_) => ("faults", "fault"),
+    };
+    format!("in lockstep {what} are scheduled: write them as [[{key}]] in the scenario")
 }
 
 /// What the records say of a swap, judged as the monitor judges.

@@ -10,9 +10,12 @@ mod harness;
 mod attached;
 mod deaths;
 mod faults;
+#[cfg(feature = "foxglove")]
+mod live;
 mod lockstep;
 mod realtime;
 mod recording;
+mod scenario_faults;
 mod strangers;
 mod usage;
 mod verdicts;

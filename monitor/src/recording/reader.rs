@@ -13,8 +13,9 @@ use loopbound_shared::sample::{Announce, TickRecord};
 use mcap::records::Record;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
+use super::ABOUT;
+use super::channels::Channel;
 use super::proto::{self, Figures};
-use super::{ABOUT, ANNOUNCES, RECORDS, TICKS};
 
 /// No record outside of chunks is longer, nor any chunk.
 const LENGTH_MAX: usize = 64 << 20;
@@ -171,11 +172,12 @@ fn look_at(channels: &mut Channels, record: Record<'_>) -> Result<Option<Found>,
     Ok(match record {
         Record::Metadata(metadata) if metadata.name == ABOUT => Some(Found::About(metadata.metadata)),
         Record::Channel(channel) => {
-            match channel.topic.as_str() {
-                RECORDS => channels.records = Some(channel.id),
-                ANNOUNCES => channels.announces = Some(channel.id),
-                TICKS => channels.ticks = Some(channel.id),
-                _ => {}
+            let known = Channel::ALL.into_iter().find(|known| known.topic() == channel.topic);
+            match known {
+                Some(Channel::Records) => channels.records = Some(channel.id),
+                Some(Channel::Announces) => channels.announces = Some(channel.id),
+                Some(Channel::Ticks) => channels.ticks = Some(channel.id),
+                Some(Channel::Events | Channel::Scene) | None => {}
             }
             None
         }

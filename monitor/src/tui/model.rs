@@ -5,7 +5,7 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use loopbound_shared::chain::LINKS_MAX;
-use loopbound_shared::event::Role;
+use loopbound_shared::event::{LiveFault, Role};
 use loopbound_shared::sample::{Announce, TickRecord};
 use loopbound_shared::scenario::{Mode, Scenario, ScenarioError};
 
@@ -25,6 +25,29 @@ const SPARKS: usize = 60;
 const EVENTS: usize = 200;
 /// Smallest V that the strip tells from zero.
 const V_LEAST: f64 = 1e-9;
+
+/// What can be injected into the controller in charge: the digit of each is its place, from 1.
+pub const FAULTS: [(LiveFault, &str); 6] = [
+    (LiveFault::Delay, "delay: every torque too late, 100 ms long"),
+    (LiveFault::Drop, "drop: no torque, 100 ms long"),
+    (LiveFault::Nan, "nan: torques that are no numbers, 100 ms long"),
+    (LiveFault::Kill, "kill: SIGKILL"),
+    (LiveFault::Hang, "hang: stopped for 100 ms"),
+    (LiveFault::Glitch, "glitch: 200 N·m on the first link, 100 ms long"),
+];
+
+/// What a key asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wish {
+    /// Nothing that the model can't do by itself.
+    Nothing,
+    /// Another controller.
+    Swap,
+    /// A fault.
+    Fault(LiveFault),
+    /// To leave; whatever runs goes on.
+    Quit,
+}
 
 /// One instant of the strip, in powers of ten.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,6 +86,8 @@ pub struct Model<const N: usize> {
     pub answer: String,
     /// The picture stands still; the figures go on.
     pub paused: bool,
+    /// The menu of faults is open.
+    pub choosing: bool,
 }
 
 impl<const N: usize> Model<N> {
@@ -88,6 +113,7 @@ impl<const N: usize> Model<N> {
             names: BTreeMap::new(),
             answer: String::new(),
             paused: false,
+            choosing: false,
         })
     }
 
@@ -117,6 +143,30 @@ impl<const N: usize> Model<N> {
             self.strip.pop_front();
         }
         self.newest = Some((Box::new(*record), row));
+    }
+
+    /// Takes a key; `'\u{1b}'` is Esc. While the menu is open it takes them all.
+    pub fn press(&mut self, key: char) -> Wish {
+        const ESC: char = '\u{1b}';
+        if std::mem::take(&mut self.choosing) {
+            let place = key.to_digit(10).and_then(|digit| usize::try_from(digit).ok()?.checked_sub(1));
+            return match (place.and_then(|place| FAULTS.get(place)), key) {
+                (Some((fault, _)), _) => Wish::Fault(*fault),
+                (None, ESC | 'f') => Wish::Nothing,
+                (None, _) => {
+                    self.choosing = true;
+                    Wish::Nothing
+                }
+            };
+        }
+        match key {
+            'q' | ESC => return Wish::Quit,
+            's' => return Wish::Swap,
+            'f' => self.choosing = true,
+            ' ' => self.paused = !self.paused,
+            _ => {}
+        }
+        Wish::Nothing
     }
 
     /// Takes what a process says of itself.
@@ -164,5 +214,28 @@ impl<const N: usize> Model<N> {
     #[must_use]
     pub fn quantiles(&self, hop: Hop) -> Quantiles {
         self.tracker.hops().of(hop).quantiles()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_menu_takes_a_digit_or_esc_and_no_other_key() {
+        let mut model = Model::<3>::new("g", &Scenario::default()).unwrap();
+        assert_eq!((model.press('1'), model.choosing), (Wish::Nothing, false));
+        assert_eq!((model.press('f'), model.choosing), (Wish::Nothing, true));
+        for key in ['s', 'q', ' ', '0', '9'] {
+            assert_eq!((model.press(key), model.choosing, model.paused), (Wish::Nothing, true, false), "{key}");
+        }
+        assert_eq!((model.press('\u{1b}'), model.choosing), (Wish::Nothing, false));
+        for (digit, (fault, _)) in ('1'..).zip(FAULTS) {
+            model.press('f');
+            assert_eq!((model.press(digit), model.choosing), (Wish::Fault(fault), false));
+        }
+        assert_eq!((model.press('s'), model.press('q'), model.press('\u{1b}')), (Wish::Swap, Wish::Quit, Wish::Quit));
+        model.press(' ');
+        assert!(model.paused);
     }
 }

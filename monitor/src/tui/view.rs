@@ -1,15 +1,16 @@
 //! The live view as one screen: the chain with its reference, V and its bounds, latencies, events.
 
+use loopbound_shared::event::HappeningKind;
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::symbols::Marker;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::canvas::{Canvas, Circle, Line as Stroke};
-use ratatui::widgets::{Axis, Block, Cell, Chart, Dataset, GraphType, List, ListItem, Paragraph, Row, Table};
+use ratatui::widgets::{Axis, Block, Cell, Chart, Clear, Dataset, GraphType, List, ListItem, Paragraph, Row, Table};
 
-use super::model::{Model, STRIP_S};
-use crate::event::{Event, EventKind, cause_of};
+use super::model::{FAULTS, Model, STRIP_S};
+use crate::event::{Event, EventKind, cause_of, fault};
 use crate::hops::Hop;
 use crate::recording::scene::joints;
 
@@ -33,8 +34,24 @@ pub fn draw<const N: usize>(frame: &mut Frame, model: &Model<N>) {
     let bottom = Layout::horizontal([Constraint::Length(66), Constraint::Min(30)]).split(rows[2]);
     latencies(frame, bottom[0], model);
     events(frame, bottom[1], model);
-    let keys = " q quit   space pause   s swap to a standby, or to the next law   ";
+    let keys = " q quit   space pause   s swap to a standby, or to the next law   f fault   ";
     frame.render_widget(Line::from(vec![keys.into(), Span::styled(model.answer.as_str(), Color::Yellow)]), rows[3]);
+    if model.choosing {
+        menu(frame, rows[1]);
+    }
+}
+
+/// The faults to choose from, each by its digit.
+fn menu(frame: &mut Frame, area: Rect) {
+    let lines: Vec<Line> =
+        FAULTS.iter().zip(1..).map(|((_, words), digit)| Line::from(format!(" {digit}  {words} "))).collect();
+    let title = " a fault of the controller in charge: digit, or Esc ";
+    let width = u16::try_from(title.len() + 2).unwrap_or(u16::MAX);
+    let height = u16::try_from(lines.len() + 2).unwrap_or(u16::MAX);
+    let place = area.centered(Constraint::Length(width), Constraint::Length(height));
+    frame.render_widget(Clear, place);
+    let style = Style::default().fg(Color::Yellow);
+    frame.render_widget(Paragraph::new(lines).block(Block::bordered().title(title).border_style(style)), place);
 }
 
 fn header<const N: usize>(frame: &mut Frame, area: Rect, model: &Model<N>) {
@@ -166,6 +183,9 @@ fn describe(event: &Event) -> String {
         EventKind::Missed { ticks, .. } if *ticks > 1 => format!(", {ticks} ticks"),
         EventKind::Gap { ticks } => format!(", {ticks} records"),
         EventKind::Late { deadline_to_torque_ns, .. } => format!(", {:.0} µs", *deadline_to_torque_ns as f64 * 1e-3),
+        EventKind::Happening(happening) if happening.kind == HappeningKind::FaultInjected.code() => {
+            format!(", {}, {}", fault(happening.detail), happening.subject)
+        }
         EventKind::Happening(happening) if happening.subject != 0 => format!(", {}", happening.subject),
         EventKind::Bound { verdict, .. } => format!(", {}", verdict.replace('_', " ")),
         _ => String::new(),
@@ -212,6 +232,25 @@ mod tests {
             assert!(screen.contains(shown), "{shown}:\n{screen}");
         }
         assert!(screen.chars().filter(|c| ('\u{2801}'..='\u{28ff}').contains(c)).count() > 60, "{screen}");
+    }
+
+    #[test]
+    fn the_menu_of_faults_shows_a_digit_for_each_and_an_injected_one_is_an_event() {
+        let mut model = Model::<3>::new("g", &Scenario::default()).unwrap();
+        assert!(screen(&model).contains("f fault") && !screen(&model).contains("Esc"));
+        model.choosing = true;
+        let drawn = screen(&model);
+        for (digit, (_, words)) in (1..).zip(FAULTS) {
+            assert!(drawn.contains(&format!("{digit}  {words}")), "{words}:\n{drawn}");
+        }
+        let mut record = crate::testing::good(0);
+        let detail = u64::from(FAULTS[3].0.code());
+        let kind = HappeningKind::FaultInjected.code();
+        record.happenings[0] = loopbound_shared::sample::Happening { kind, subject: 2, detail, value: 9.0 };
+        record.happenings_used = 1;
+        model.feed(&record);
+        model.choosing = false;
+        assert!(screen(&model).contains("fault injected, kill, 2"), "{}", screen(&model));
     }
 
     #[test]

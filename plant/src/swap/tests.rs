@@ -42,7 +42,7 @@ impl Bench {
             controller: 2,
             tick: at_tick,
             ns: blend_ticks * PERIOD_NS,
-            force: u64::from(force),
+            option: u64::from(force),
         })
     }
 
@@ -317,7 +317,7 @@ fn the_outcomes_of_many_swaps_take_no_more_room_than_a_few() {
             bench.authority.request_swap(&Command {
                 kind: CommandKind::Swap.code(),
                 controller,
-                force: 1,
+                option: 1,
                 ..Command::zeroed()
             });
             bench.run(2);
