@@ -52,7 +52,7 @@ Examples:
   loopbound study load                                 4 rates, 4 modes, 3 loads, with and without privileges: 7 min
   loopbound study load --rates 1kHz,5kHz --wakeups hybrid,block --privileges with --duration 10s
   loopbound study load my.toml --missed-max 0.1% --cpu-max 100%
-Exit codes: 0 a setting is recommended; 3 none keeps the limits; 130 interrupted, with what was measured until then.")]
+Exit codes: 0 a setting is recommended and kept its limits when measured again; 3 otherwise; 130 interrupted, with what was measured until then.")]
     Load(load::LoadArgs),
 }
 

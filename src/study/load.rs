@@ -7,11 +7,12 @@
 //! | [`case`] | one case: its scenario, its runs added up, its row of the table |
 //! | [`group`], [`cpu`] | one run of a real group, and the CPU that it took |
 //! | [`design`] | from a latency to the gains that it allows |
-//! | [`advice`] | from the table to a recommendation |
+//! | [`advice`], [`check`] | from the table to a recommendation, and the run that tries it |
 //! | [`text`], [`pictures`], [`page`] | the table, heat maps, one page |
 
 pub mod advice;
 pub mod case;
+pub mod check;
 pub mod cpu;
 pub mod design;
 pub mod group;
@@ -32,13 +33,14 @@ use loopbound_shared::scenario::{Nanos, Scenario};
 use serde::Serialize;
 use serde_json::Value;
 
-use self::advice::{Advice, Limits, Ratio, Setting, advise};
+use self::advice::{Advice, Limits, Ratio, advise};
 use self::case::{Case, Measured, Row};
+use self::check::{Check, recommended};
 use self::design::{Designer, budget_used};
 use self::group::{RunError, Runner};
 pub use self::options::LoadArgs;
 use self::options::{Plan, Quantile};
-use self::text::{percent, time};
+use self::text::percent;
 use super::Folder;
 use crate::exit::Exit;
 use crate::signals::Stop;
@@ -81,19 +83,6 @@ pub struct Report {
     pub check: Option<Check>,
 }
 
-/// The recommended scenario in a run of its own.
-#[derive(Clone, Debug, Serialize)]
-pub struct Check {
-    /// Its row; none if the run failed.
-    pub row: Option<Row>,
-    /// Largest ‖W‖ that was seen once settled.
-    pub w_norm_max_settled: Option<f64>,
-    /// The verdict of the run.
-    pub verdict: String,
-    /// All of it in words.
-    pub words: String,
-}
-
 /// Runs the study, writes its folder, prints the recommendation.
 ///
 /// # Errors
@@ -117,12 +106,13 @@ pub fn run(args: &LoadArgs) -> anyhow::Result<Exit> {
         let (case, scenario) = recommended(&plan, &designer, &report.rows, &setting);
         folder.write("recommended.toml", scenario.to_toml()?)?;
         if stop.requested().is_none() {
-            report.check = check(&plan, &runner, &case, &scenario, &setting);
+            report.check = check::run(&plan, &runner, &case, &scenario, &setting);
         }
     }
     write(&folder, &report)?;
     print(args, &report, &folder)?;
-    Ok(stop.requested().unwrap_or(if report.advice.choice.is_some() { Exit::Held } else { Exit::Inconclusive }))
+    let found = report.check.as_ref().is_some_and(|check| check.against.is_empty());
+    Ok(stop.requested().unwrap_or(if found { Exit::Held } else { Exit::Inconclusive }))
 }
 
 fn announce(plan: &Plan, folder: &Folder) {
@@ -231,49 +221,6 @@ fn judged(mut row: Row, designer: &Designer, measured: Option<&Scenario>) -> Row
     (row.w_norm, row.k_t) = (found.map(|found| found.w_norm), found.map(|found| found.k_t));
     row.budget_used = measured.and_then(|scenario| budget_used(scenario, latency.value_ns).ok().flatten());
     row
-}
-
-/// The worst case of the setting, and the scenario with the gains that its latency allows.
-fn recommended(plan: &Plan, designer: &Designer, rows: &[Row], setting: &Setting) -> (Case, Scenario) {
-    let row = &rows[setting.worst_row];
-    let case = plan.cases[setting.worst_row];
-    let scenario = case.apply(&plan.base);
-    let latency_ns = row.latency.map_or(0.0, |latency| latency.value_ns);
-    let found = designer.smallest(row.rate_hz, latency_ns);
-    (case, found.map_or_else(|| scenario.clone(), |found| Designer::with_gains(&scenario, &found)))
-}
-
-/// Runs the recommendation under the load that was worst for it, for as long as a case was measured.
-fn check(plan: &Plan, runner: &Runner<'_>, case: &Case, scenario: &Scenario, setting: &Setting) -> Option<Check> {
-    let run_ns = plan.run_ns * u64::from(plan.rounds);
-    let run = match runner.run(case, scenario, run_ns) {
-        Ok(run) => run,
-        Err(RunError::Stopped(_)) => return None,
-        Err(error) => {
-            let words = format!("Measured again with it: {error}.");
-            return Some(Check { row: None, w_norm_max_settled: None, verdict: "no data".to_owned(), words });
-        }
-    };
-    let (verdict, seen) = (run.summary.verdict.status.clone(), run.summary.bound.w_norm_max_settled);
-    let mut measured = Measured::default();
-    measured.add(run);
-    let mut row = measured.row(case, plan.quantile);
-    row.budget_used = row.latency.and_then(|latency| budget_used(scenario, latency.value_ns).ok().flatten());
-    let quantile = plan.quantile.name();
-    let words = format!(
-        "Measured again with it, {} under load {}: {verdict}; deadline → torque {quantile} {} (in the study {}), {} of ticks \
-         missed, {} of a core, {} of [11] used; largest ‖W‖ once settled {}, outside of {} V is promised to fall.",
-        Nanos(run_ns),
-        case.load.name(),
-        time(row.latency.map(|latency| latency.value_ns)),
-        time(Some(setting.latency_ns)),
-        percent(row.missed_share),
-        percent(row.cpu),
-        percent(row.budget_used),
-        seen.map_or("?".to_owned(), |seen| format!("{seen:.4}")),
-        setting.w_norm.map_or("?".to_owned(), |w| format!("{w:.4}")),
-    );
-    Some(Check { row: Some(row), w_norm_max_settled: seen, verdict, words })
 }
 
 impl Report {

@@ -13,5 +13,6 @@ mod lockstep;
 mod realtime;
 mod recording;
 mod strangers;
+mod studies;
 mod usage;
 mod verdicts;

@@ -35,7 +35,7 @@ pub struct Ratio {
 }
 
 /// What somebody can choose, over all loads.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Setting {
     /// Ticks per second.
     pub rate_hz: f64,

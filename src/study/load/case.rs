@@ -205,7 +205,8 @@ pub struct Row {
     pub latency_ns: Latency,
     /// The bare wake-up.
     pub floor_ns: Quantiles,
-    /// The quantile of deadline → torque that decides; a tick without a torque counts as never.
+    /// The quantile of deadline → torque that decides; a tick without a torque counts as never, which is
+    /// [`NEVER_NS`](loopbound_monitor::verdict::blocks::NEVER_NS).
     pub latency: Option<Estimate>,
     /// Skipped, or without a torque in time.
     pub missed_ticks: u64,

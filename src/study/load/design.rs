@@ -3,6 +3,7 @@
 use std::cell::RefCell;
 use std::collections::HashMap;
 
+use loopbound_monitor::hops::HIGHEST_NS;
 use loopbound_shared::bound::certificate::{Certificate, StartError};
 use loopbound_shared::bound::stability::{sampling_budget, smallest_w};
 use loopbound_shared::scenario::{Scenario, ScenarioError};
@@ -29,7 +30,7 @@ impl Designer {
     /// the least stable one below h/2 is no delay at all (the hold alone), above it the longest.
     #[must_use]
     pub fn smallest(&self, rate_hz: f64, latency_ns: f64) -> Option<Certificate> {
-        if !(latency_ns < 1e10) {
+        if is_never(latency_ns) {
             return None;
         }
         let period_s = 1.0 / rate_hz;
@@ -67,11 +68,20 @@ impl Designer {
     }
 }
 
-/// Share of \[11] that a scenario's own gains use at a latency; none where \[11] does not apply.
+/// Whether a latency is that of torques that did not come: longer than a histogram reaches, or no number.
+#[must_use]
+pub fn is_never(latency_ns: f64) -> bool {
+    latency_ns.is_nan() || latency_ns > HIGHEST_NS as f64
+}
+
+/// Share of \[11] that a scenario's own gains use at a latency; none where \[11] does not apply, or no torque came.
 ///
 /// # Errors
 /// If the scenario describes no system.
 pub fn budget_used(scenario: &Scenario, latency_ns: f64) -> Result<Option<f64>, ScenarioError> {
+    if is_never(latency_ns) {
+        return Ok(None);
+    }
     let certificate = with_links!(scenario.links(), certificate::<N>(scenario))?;
     let delay_s = latency_ns * 1e-9 + scenario.plant.actuation_delay.seconds();
     let budget = sampling_budget(&certificate, scenario.period_ns() as f64 * 1e-9, delay_s);
@@ -128,6 +138,7 @@ mod tests {
         }
         let used = budget_used(&scenario, 300e3).unwrap().unwrap();
         assert!(used <= 0.6 + 1e-9, "{used}");
+        assert_eq!(budget_used(&scenario, u64::MAX as f64).unwrap(), None);
     }
 
     #[test]

@@ -5,6 +5,7 @@ use loopbound_shared::scenario::format_rate;
 
 use super::Report;
 use super::case::{Rights, Row};
+use super::design::is_never;
 
 /// Room for twelve columns whose cells hold two figures.
 const WIDTH_PX: u32 = 1080;
@@ -16,7 +17,7 @@ const SHARE_MIN: f64 = 1e-4;
 pub fn maps(report: &Report) -> Figure {
     let quantile = report.quantile.name();
     let rows = &report.rows;
-    let us = |row: &Row| row.latency.map(|e| e.value_ns * 1e-3).filter(|us| *us < 1e12);
+    let us = |row: &Row| row.latency.filter(|e| !is_never(e.value_ns)).map(|e| e.value_ns * 1e-3);
     let missed = |row: &Row| row.missed_share.map(|share| share.max(SHARE_MIN));
     let panels = vec![
         panel(rows, &format!("(a) deadline → torque, {quantile} (µs); unanswered ticks count as never"), us, |row| {

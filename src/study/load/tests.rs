@@ -20,7 +20,7 @@ struct Line {
 }
 
 /// The plan of these options, or the message with which they are refused.
-fn plan(options: &str) -> Result<Plan, String> {
+pub(super) fn plan(options: &str) -> Result<Plan, String> {
     let words = std::iter::once("load").chain(options.split_whitespace());
     let line = Line::try_parse_from(words).map_err(|e| e.to_string())?;
     line.args.plan().map_err(|e| e.to_string())

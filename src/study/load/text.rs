@@ -8,6 +8,7 @@ use loopbound_shared::scenario::format_rate;
 
 use super::Report;
 use super::case::Row;
+use super::design::is_never;
 
 /// A share for people, with the digits that it deserves; `?` where there is none.
 #[must_use]
@@ -22,7 +23,7 @@ pub fn percent(share: Option<f64>) -> String {
     }
 }
 
-/// The table for programs: a line a case, times in ns, shares of 1. A figure that doesn't exist is an empty cell.
+/// The table for programs: a line a case, times in ns, shares of 1; `inf` is a torque that never came. A figure that doesn't exist is an empty cell.
 #[must_use]
 pub fn csv(report: &Report) -> String {
     let mut csv = "rate_hz,wakeup,privileges,load,status,runs,ticks".to_owned();
@@ -48,9 +49,13 @@ pub fn csv(report: &Report) -> String {
             [q.p50, q.p99, q.p99_9, q.max].into_iter().for_each(|value| cell(&mut csv, value));
         }
         let estimate = row.latency.as_ref();
-        cell(&mut csv, estimate.map(|e| e.value_ns));
-        cell(&mut csv, estimate.and_then(|e| e.lower_ns));
-        cell(&mut csv, estimate.and_then(|e| e.upper_ns));
+        let limits = [estimate.and_then(|e| e.lower_ns), estimate.and_then(|e| e.upper_ns)];
+        for value in std::iter::once(estimate.map(|e| e.value_ns)).chain(limits) {
+            match value {
+                Some(value) if is_never(value) => csv.push_str(",inf"),
+                value => cell(&mut csv, value),
+            }
+        }
         cell(&mut csv, row.missed_share);
         cell(&mut csv, row.missed_by_host_share);
         for cause in &causes {
@@ -139,6 +144,7 @@ pub fn cells(row: &Row) -> Vec<String> {
         four(&row.latency_ns.round_trip),
         four(&row.latency_ns.deadline_to_torque),
         row.latency.map_or("—".to_owned(), |e| match (e.lower_ns, e.upper_ns) {
+            _ if is_never(e.value_ns) => "never".to_owned(),
             (Some(lower), Some(upper)) => {
                 format!("{} [{}, {}]", time(Some(e.value_ns)), time(Some(lower)), time(Some(upper)))
             }
