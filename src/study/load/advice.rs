@@ -256,7 +256,7 @@ fn choose(settings: &[Setting], rates: &[AtRate]) -> (Option<usize>, bool, Strin
     let choice = equal.fold(smallest, |choice, at| if cpu(at) < cpu(choice) { at } else { choice });
     let rate = |at: usize| loopbound_shared::scenario::format_rate(settings[at].rate_hz);
     let mut words = format!(
-        "{} with {}: the smallest ‖W‖ that its latency allows is {:.4}.",
+        "{}, {}: the smallest ‖W‖ that its latency allows is {:.4}.",
         rate(choice),
         settings[choice].name(),
         w(choice)

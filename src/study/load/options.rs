@@ -63,7 +63,7 @@ pub struct LoadArgs {
     /// CPU that all processes of the loop together may take, of one core; 200% are two cores.
     #[arg(long, value_parser = percent, default_value = "150%", value_name = "SHARE")]
     pub cpu_max: Percent,
-    /// Share of the room that [11] leaves which a recommended gain uses.
+    /// How much of the room that sampling and latency leave a recommended gain may use.
     #[arg(long, value_parser = percent, default_value = "60%", value_name = "SHARE")]
     pub room: Percent,
     /// Print table.json instead of the recommendation.

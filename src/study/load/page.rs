@@ -5,7 +5,7 @@ use loopbound_shared::scenario::format_rate;
 
 use super::Report;
 use super::pictures::maps;
-use super::text::{cells, headings};
+use super::text::{SETTING_HEADINGS, cells, headings, setting_cells};
 
 /// The page.
 #[must_use]
@@ -15,12 +15,15 @@ pub fn page(report: &Report) -> String {
     choice.extend(report.check.iter().map(|check| check.words.clone()));
     let rates = report.advice.rates.iter();
     let rates = rates.map(|rate| line("td", &[format_rate(rate.rate_hz), rate.words.clone()])).collect::<String>();
+    let settings = report.advice.settings.iter().map(|setting| line("td", &setting_cells(report, setting)));
+    let settings = line("th", &SETTING_HEADINGS.map(str::to_owned)) + &settings.collect::<String>();
     let cases = report.rows.iter().map(|row| line("td", &cells(row))).collect::<String>();
     include_str!("page.html")
         .replace("{{head}}", &paragraphs(&report.head()))
         .replace("{{choice}}", &paragraphs(&choice))
         .replace("{{rates}}", &rates)
         .replace("{{rules}}", &prose(&report.rules()))
+        .replace("{{settings}}", &settings)
         .replace("{{maps}}", &to_svg(&maps(report), Theme::Auto))
         .replace("{{cases}}", &(line("th", &headings(report)) + &cases))
 }

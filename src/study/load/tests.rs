@@ -165,7 +165,7 @@ fn the_smallest_w_within_the_limits_is_chosen_and_settings_beyond_them_are_not()
     assert_eq!((advice.settings[next].wakeup.as_str(), ratio.ratio.to_bits()), ("block", 3f64.to_bits()));
     assert!(advice.rates[0].words.contains("3.00 times as late (95 %: 2.70 to 3.30)"), "{}", advice.rates[0].words);
     assert!(
-        advice.words.contains("5kHz with `block`") && advice.words.contains("1kHz, 5.00 times that."),
+        advice.words.contains("5kHz, `block`") && advice.words.contains("1kHz, 5.00 times that."),
         "{}",
         advice.words
     );

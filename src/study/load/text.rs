@@ -7,6 +7,7 @@ pub use loopbound_monitor::verdict::expectations::time;
 use loopbound_shared::scenario::format_rate;
 
 use super::Report;
+use super::advice::Setting;
 use super::case::Row;
 use super::design::is_never;
 
@@ -162,6 +163,25 @@ pub fn cells(row: &Row) -> Vec<String> {
     cells
 }
 
+/// The names of the columns of [`setting_cells`].
+pub const SETTING_HEADINGS: [&str; 8] = ["rate", "mode", "worst load", "latency", "missed", "CPU", "‖W‖", "against it"];
+
+/// A setting over all loads as people see it.
+#[must_use]
+pub fn setting_cells(report: &Report, setting: &Setting) -> Vec<String> {
+    let row = report.rows.get(setting.worst_row);
+    vec![
+        format_rate(setting.rate_hz),
+        setting.name(),
+        row.map_or("—", |row| row.load.name()).to_owned(),
+        time(row.and_then(|row| row.latency).map(|latency| latency.value_ns)),
+        percent(Some(setting.missed_share)),
+        percent(setting.cpu),
+        setting.w_norm.map_or("—".to_owned(), |w| format!("{w:.4}")),
+        if setting.against.is_empty() { "nothing".to_owned() } else { setting.against.join("; ") },
+    ]
+}
+
 /// The whole study for people.
 #[must_use]
 pub fn markdown(report: &Report) -> String {
@@ -174,7 +194,12 @@ pub fn markdown(report: &Report) -> String {
     for rate in &report.advice.rates {
         let _ = writeln!(text, "| {} | {} |", format_rate(rate.rate_hz), rate.words);
     }
-    let _ = writeln!(text, "\n{}\n\n## Every case\n\n![Every case](load.svg)\n", report.rules());
+    let _ = writeln!(text, "\n{}\n\n## Every setting\n\n| {} |", report.rules(), SETTING_HEADINGS.join(" | "));
+    let _ = writeln!(text, "|{}", "---|".repeat(SETTING_HEADINGS.len()));
+    for setting in &report.advice.settings {
+        let _ = writeln!(text, "| {} |", setting_cells(report, setting).join(" | "));
+    }
+    text.push_str("\n## Every case\n\n![Every case](load.svg)\n\n");
     let headings = headings(report);
     let _ = writeln!(text, "| {} |\n|{}", headings.join(" | "), "---|".repeat(headings.len()));
     for row in &report.rows {
