@@ -139,6 +139,20 @@ impl Folder {
         std::fs::write(&path, content).with_context(|| path.display().to_string())
     }
 
+    /// Removes a file, if it is there.
+    ///
+    /// # Errors
+    /// If it can't be removed.
+    pub fn remove(&self, name: &str) -> anyhow::Result<()> {
+        let path = self.0.join(name);
+        match std::fs::remove_file(&path) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                Err(error).context(path.display().to_string())
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Writes a picture as SVG, which follows the reader's light or dark theme, and as PNG.
     ///
     /// # Errors

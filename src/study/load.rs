@@ -33,7 +33,7 @@ use loopbound_shared::scenario::{Nanos, Scenario};
 use serde::Serialize;
 use serde_json::Value;
 
-use self::advice::{Advice, Limits, Ratio, advise};
+use self::advice::{Advice, ForLoad, Limits, Ratio, advise, for_each_load};
 use self::case::{Case, Measured, Row};
 use self::check::{Check, recommended};
 use self::design::{Designer, budget_used};
@@ -77,8 +77,10 @@ pub struct Report {
     pub room: f64,
     /// A line a case.
     pub rows: Vec<Row>,
-    /// What follows.
+    /// What follows, if any of the loads may come.
     pub advice: Advice,
+    /// What follows for each load by itself.
+    pub for_each_load: Vec<ForLoad>,
     /// The recommendation, measured again.
     pub check: Option<Check>,
 }
@@ -91,7 +93,8 @@ pub fn run(args: &LoadArgs) -> anyhow::Result<Exit> {
     let plan = args.plan()?;
     let folder = Folder::open(&args.out)?;
     let stop = Stop::install().context("signals")?;
-    let runner = Runner { folder: folder.path().join("runs"), stop: &stop };
+    // A name of its own: it is removed with all that is in it.
+    let runner = Runner { folder: folder.path().join(format!("run-{}", std::process::id())), stop: &stop };
     announce(&plan, &folder);
     let designer = Designer::new(plan.base.clone(), plan.room);
     let mut study = Study {
@@ -100,6 +103,8 @@ pub fn run(args: &LoadArgs) -> anyhow::Result<Exit> {
         all: vec![Measured::default(); plan.cases.len()],
         host: BTreeMap::new(),
     };
+    // That of an earlier study would pass for this one's.
+    folder.remove("recommended.toml")?;
     study.measure(&runner)?;
     let mut report = study.report(stop.requested().is_some());
     if let Some(setting) = report.advice.choice.map(|at| report.advice.settings[at].clone()) {
@@ -197,6 +202,7 @@ impl Study<'_> {
             quantile: plan.quantile,
             limits,
             room: plan.room,
+            for_each_load: for_each_load(&rows, plan.quantile, limits, |a, b| self.ratio(a, b)),
             rows,
             advice,
             check: None,
@@ -302,6 +308,10 @@ fn print(args: &LoadArgs, report: &Report, folder: &Folder) -> anyhow::Result<()
     }
     for rate in &report.advice.rates {
         writeln!(out, "\n{}: {}", loopbound_shared::scenario::format_rate(rate.rate_hz), rate.words)?;
+    }
+    writeln!(out)?;
+    for only in &report.for_each_load {
+        writeln!(out, "Under load {} alone: {}", only.load.name(), only.words)?;
     }
     writeln!(out, "\nRecommended: {}", report.advice.words)?;
     if let Some(check) = &report.check {

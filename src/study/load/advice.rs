@@ -10,6 +10,7 @@ use serde::Serialize;
 use super::case::{Rights, Row};
 use super::options::Quantile;
 use super::text::{percent, time};
+use crate::background::Kind;
 
 /// Two values of ‖W‖ this close, relative, are the same: searched on the same grid for the same delay.
 const SAME_W: f64 = 1e-9;
@@ -127,8 +128,44 @@ pub fn advise(
     }
     let rates: Vec<AtRate> =
         rates.into_iter().map(|rate_hz| at_rate(rate_hz, &settings, rows, quantile, &ratio)).collect();
-    let (choice, clear, words) = choose(&settings, &rates);
+    let (choice, clear, mut words) = choose(&settings, &rates);
+    if let Some(setting) = choice.map(|at| &settings[at]) {
+        let figures = setting.figures(quantile, rows[setting.worst_row].load.name());
+        words = format!("{words} In figures: {figures}.");
+    }
     Advice { settings, rates, choice, clear, words }
+}
+
+/// The best setting for whoever expects one load alone.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ForLoad {
+    /// That load.
+    pub load: Kind,
+    /// The setting; none if nothing is feasible.
+    pub choice: Option<Setting>,
+    /// The same in words.
+    pub words: String,
+}
+
+/// The advice for each load by itself; nothing where there is one only.
+pub fn for_each_load(
+    rows: &[Row],
+    quantile: Quantile,
+    limits: Limits,
+    ratio: impl Fn(usize, usize) -> Option<Ratio>,
+) -> Vec<ForLoad> {
+    let mut loads: Vec<Kind> = rows.iter().map(|row| row.load).collect();
+    loads.sort_unstable();
+    loads.dedup();
+    let of_load = |load: Kind| {
+        let places: Vec<usize> = (0..rows.len()).filter(|at| rows[*at].load == load).collect();
+        let own: Vec<Row> = places.iter().map(|at| rows[*at].clone()).collect();
+        let Advice { settings, choice, words, .. } = advise(&own, quantile, limits, |a, b| ratio(places[a], places[b]));
+        let choice = choice.map(|at| settings[at].clone());
+        let choice = choice.map(|setting| Setting { worst_row: places[setting.worst_row], ..setting });
+        ForLoad { load, choice, words }
+    };
+    if loads.len() < 2 { Vec::new() } else { loads.into_iter().map(of_load).collect() }
 }
 
 /// Rows that differ in their load alone are one setting.
@@ -153,16 +190,18 @@ fn setting(rows: &[Row], group: &[usize], limits: Limits) -> Setting {
     let largest = |values: Vec<f64>| values.into_iter().fold(0.0, f64::max);
     let (missed, cpu) = (of(|row| row.missed_share).map(largest), of(|row| row.cpu).map(largest));
     let mut against: Vec<String> = Vec::new();
-    for at in group {
-        let row = &rows[*at];
-        let under = row.load.name();
-        if let Some(why) = &row.not_to_be_had {
-            against.push(format!("not to be had: {why}"));
-        } else if row.latency.is_none() {
-            against.push(format!("not measured under load {under}"));
-        } else if row.w_norm.is_none() {
-            against.push(format!("nothing is certified at its latency under load {under}"));
-        }
+    if let Some(why) = group.iter().find_map(|at| rows[*at].not_to_be_had.as_ref()) {
+        against.push(format!("not to be had: {why}"));
+    } else {
+        let mut under = |what: &str, with: fn(&Row) -> bool| {
+            let loads: Vec<&str> =
+                group.iter().filter(|at| with(&rows[**at])).map(|at| rows[*at].load.name()).collect();
+            if !loads.is_empty() {
+                against.push(format!("{what} under load {}", loads.join(", ")));
+            }
+        };
+        under("not measured", |row| row.latency.is_none());
+        under("nothing is certified at its latency", |row| row.latency.is_some() && row.w_norm.is_none());
     }
     if let Some(missed) = missed.filter(|missed| *missed > limits.missed_max) {
         let most = percent(Some(limits.missed_max));
@@ -176,7 +215,6 @@ fn setting(rows: &[Row], group: &[usize], limits: Limits) -> Setting {
         None if against.is_empty() => against.push("its use of CPU could not be read".to_owned()),
         _ => {}
     }
-    against.dedup();
     let row = &rows[worst];
     Setting {
         rate_hz: row.rate_hz,
@@ -203,8 +241,10 @@ fn at_rate(
     let mut feasible: Vec<usize> = of_rate().filter(|at| settings[*at].feasible()).collect();
     feasible.sort_by(|a, b| settings[*a].latency_ns.total_cmp(&settings[*b].latency_ns));
     let Some(&fastest) = feasible.first() else {
-        let why = |at: usize| format!("{}: {}", settings[at].name(), settings[at].against.join(", "));
-        let words = format!("nothing is feasible. {}", of_rate().map(why).collect::<Vec<_>>().join("; "));
+        // The others stand in the table of settings.
+        let nearest = of_rate().min_by(|a, b| settings[*a].missed_share.total_cmp(&settings[*b].missed_share));
+        let why = |at: usize| format!(": {}: {}", settings[at].name(), settings[at].against.join("; "));
+        let words = format!("nothing is feasible. What misses the fewest ticks{}.", nearest.map_or(String::new(), why));
         return AtRate { rate_hz, best: None, runner_up: None, clear: true, words };
     };
     let over_fastest = |at: usize| ratio(settings[fastest].worst_row, settings[at].worst_row);
@@ -249,7 +289,7 @@ fn choose(settings: &[Setting], rates: &[AtRate]) -> (Option<usize>, bool, Strin
     let mut best: Vec<usize> = rates.iter().filter_map(|rate| rate.best).collect();
     best.sort_by(|a, b| w(*a).total_cmp(&w(*b)));
     let Some(&smallest) = best.first() else {
-        let words = "No setting of this study keeps the limits under every load.".to_owned();
+        let words = "No setting of this study keeps the limits.".to_owned();
         return (None, true, words);
     };
     let equal = best.iter().copied().filter(|at| w(*at) <= w(smallest) * (1.0 + SAME_W));

@@ -109,31 +109,55 @@ impl Runner<'_> {
         command.process_group(0).stdin(Stdio::null()).stdout(Stdio::null()).stderr(File::create(&said)?);
         let mut launcher = Launcher(command.spawn()?);
         let give_up_ns = clock::now_ns() + run_ns + PATIENCE_NS;
-        let (mut first, mut last, mut read_again_ns) = (None, None, u64::MAX);
-        let status = loop {
+        let mut watch = CpuWatch::new(roster, run_ns);
+        loop {
             if let Some(status) = launcher.0.try_wait()? {
-                break status;
+                let said = fs::read_to_string(&said).unwrap_or_default();
+                return Ok((status.code(), said, watch.used()));
             }
-            let now_ns = clock::now_ns();
             if let Some(exit) = self.stop.requested() {
                 return Err(RunError::Stopped(exit));
             }
+            let now_ns = clock::now_ns();
             if now_ns > give_up_ns {
                 return Err(RunError::Failed("it did not end".to_owned()));
             }
-            if first.is_none()
-                && let Some(roster) = read_roster(&roster).filter(is_running)
-            {
-                first = Some(Reading::take(&roster));
-                read_again_ns = now_ns + run_ns.saturating_sub(BEFORE_END_NS + LOOK_NS);
-            } else if last.is_none() && now_ns >= read_again_ns {
-                last = read_roster(&roster).filter(is_running).map(|roster| Reading::take(&roster));
-                read_again_ns = u64::MAX;
-            }
+            watch.look(now_ns);
             clock::sleep_ns(LOOK_NS);
-        };
-        let cpu = CpuUse::between(first.as_ref(), last.as_ref());
-        Ok((status.code(), fs::read_to_string(&said).unwrap_or_default(), cpu))
+        }
+    }
+}
+
+/// Reads the CPU time of a group twice: once its clock runs, and before it stops.
+struct CpuWatch {
+    roster: PathBuf,
+    run_ns: u64,
+    again_ns: u64,
+    first: Option<Reading>,
+    last: Option<Reading>,
+}
+
+impl CpuWatch {
+    fn new(roster: PathBuf, run_ns: u64) -> Self {
+        Self { roster, run_ns, again_ns: 0, first: None, last: None }
+    }
+
+    fn look(&mut self, now_ns: u64) {
+        if self.last.is_some() || now_ns < self.again_ns {
+            return;
+        }
+        let Some(roster) = read_roster(&self.roster).filter(is_running) else { return };
+        let reading = Some(Reading::take(&roster));
+        if self.first.is_none() {
+            self.first = reading;
+            self.again_ns = now_ns + self.run_ns.saturating_sub(BEFORE_END_NS + LOOK_NS);
+        } else {
+            self.last = reading;
+        }
+    }
+
+    fn used(&self) -> CpuUse {
+        CpuUse::between(self.first.as_ref(), self.last.as_ref())
     }
 }
 

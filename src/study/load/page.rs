@@ -4,6 +4,7 @@ use loopbound_monitor::chart::{Theme, to_svg};
 use loopbound_shared::scenario::format_rate;
 
 use super::Report;
+use super::advice::ForLoad;
 use super::pictures::maps;
 use super::text::{SETTING_HEADINGS, cells, headings, setting_cells};
 
@@ -15,6 +16,8 @@ pub fn page(report: &Report) -> String {
     choice.extend(report.check.iter().map(|check| check.words.clone()));
     let rates = report.advice.rates.iter();
     let rates = rates.map(|rate| line("td", &[format_rate(rate.rate_hz), rate.words.clone()])).collect::<String>();
+    let only = |only: &ForLoad| line("td", &[format!("load {} alone", only.load.name()), only.words.clone()]);
+    let loads = report.for_each_load.iter().map(only).collect::<String>();
     let settings = report.advice.settings.iter().map(|setting| line("td", &setting_cells(report, setting)));
     let settings = line("th", &SETTING_HEADINGS.map(str::to_owned)) + &settings.collect::<String>();
     let cases = report.rows.iter().map(|row| line("td", &cells(row))).collect::<String>();
@@ -22,6 +25,7 @@ pub fn page(report: &Report) -> String {
         .replace("{{head}}", &paragraphs(&report.head()))
         .replace("{{choice}}", &paragraphs(&choice))
         .replace("{{rates}}", &rates)
+        .replace("{{loads}}", &loads)
         .replace("{{rules}}", &prose(&report.rules()))
         .replace("{{settings}}", &settings)
         .replace("{{maps}}", &to_svg(&maps(report), Theme::Auto))

@@ -188,6 +188,25 @@ fn a_setting_is_judged_by_its_worst_load() {
 }
 
 #[test]
+fn for_one_load_alone_the_others_do_not_count() {
+    let rows = [
+        row(1e3, "hybrid", Kind::None, 5.0, Some(0.3), 0.0, 0.2),
+        row(1e3, "hybrid", Kind::Cpu, 900.0, None, 0.0, 0.2),
+        row(1e3, "block", Kind::None, 30.0, Some(0.3), 0.0, 0.1),
+        row(1e3, "block", Kind::Cpu, 50.0, Some(0.3), 0.0, 0.1),
+    ];
+    let ratio = |a: usize, b: usize| {
+        assert!(a % 2 == b % 2, "rows {a} and {b} are of two loads");
+        Some(Ratio { ratio: 6.0, lower: Some(5.0), upper: Some(7.0) })
+    };
+    let [none, cpu] = &for_each_load(&rows, Quantile::P99, LIMITS, ratio)[..] else { panic!("two loads") };
+    let choice = |only: &ForLoad| only.choice.as_ref().map(|setting| (setting.wakeup.clone(), setting.worst_row));
+    assert_eq!((none.load, choice(none)), (Kind::None, Some(("hybrid".to_owned(), 0))));
+    assert_eq!((cpu.load, choice(cpu)), (Kind::Cpu, Some(("block".to_owned(), 3))));
+    assert!(for_each_load(&rows[..1], Quantile::P99, LIMITS, ratio).is_empty());
+}
+
+#[test]
 fn what_the_data_do_not_tell_apart_is_called_so_and_the_cheaper_one_is_taken() {
     let rows = [
         row(1e3, "spin", Kind::None, 10.0, Some(0.3), 0.0, 1.4),
@@ -229,9 +248,15 @@ fn where_nothing_is_feasible_nothing_is_recommended_and_every_reason_is_given() 
     rows[1].not_to_be_had = Some("SCHED_FIFO is refused here".to_owned());
     let advice = advice_on(&rows);
     assert_eq!((advice.choice, advice.rates[0].best), (None, None));
-    for why in ["50 % of ticks missed", "not to be had: SCHED_FIFO is refused here", "not measured under load none"] {
-        assert!(advice.rates[0].words.contains(why), "{}", advice.rates[0].words);
+    for (at, why) in
+        ["50 % of ticks missed", "not to be had: SCHED_FIFO is refused here", "not measured under load none"]
+            .into_iter()
+            .enumerate()
+    {
+        assert!(advice.settings[at].against[0].contains(why), "{:?}", advice.settings[at]);
     }
+    // Which of them came nearest is said at once.
+    assert!(advice.rates[0].words.contains("`block` with privileges: not to be had"), "{}", advice.rates[0].words);
     assert!(advice_on(&[]).choice.is_none());
 }
 
@@ -248,6 +273,7 @@ fn report(rows: Vec<Row>) -> Report {
         interrupted: true,
         quantile: Quantile::P99,
         limits: LIMITS,
+        for_each_load: Vec::new(),
         room: 0.6,
         rows,
         advice,

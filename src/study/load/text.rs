@@ -194,6 +194,12 @@ pub fn markdown(report: &Report) -> String {
     for rate in &report.advice.rates {
         let _ = writeln!(text, "| {} | {} |", format_rate(rate.rate_hz), rate.words);
     }
+    if !report.for_each_load.is_empty() {
+        text.push_str("\n## If one load alone is to be expected\n\n| load | |\n|---|---|\n");
+        for only in &report.for_each_load {
+            let _ = writeln!(text, "| {} | {} |", only.load.name(), only.words);
+        }
+    }
     let _ = writeln!(text, "\n{}\n\n## Every setting\n\n| {} |", report.rules(), SETTING_HEADINGS.join(" | "));
     let _ = writeln!(text, "|{}", "---|".repeat(SETTING_HEADINGS.len()));
     for setting in &report.advice.settings {
