@@ -91,6 +91,10 @@ impl Runner<'_> {
         if case.rights == Rights::With {
             check_rights(&summary)?;
         }
+        if summary.dropped.intervals > 0 {
+            let why = format!("the disc was too slow for {} histograms of the run", summary.dropped.intervals);
+            return Err(RunError::Failed(why));
+        }
         let mut hops = Hops::default();
         let bytes = fs::read(out.join(log::FILE))?;
         log::add(&mut hops, &bytes, &summary).map_err(RunError::Failed)?;
