@@ -1,6 +1,6 @@
 //! The CPU time that the processes of a group take, from the scheduler's own counts in `/proc`.
 //!
-//! Read twice in a run, after its start and before its end, so that starting, ending and writing files don't count.
+//! Read after the start of a run and before its end, so that starting, ending and writing files don't count.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -26,6 +26,20 @@ impl Reading {
             Some((key, process_ns(Path::new("/proc"), process.pid)?))
         };
         Self { at_ns: clock::now_ns(), taken_ns: roster.processes.iter().filter_map(of).collect() }
+    }
+}
+
+impl Reading {
+    /// Whether everybody in `roster` was read.
+    #[must_use]
+    pub fn is_of_all(&self, roster: &Roster) -> bool {
+        self.taken_ns.len() == roster.processes.len()
+    }
+
+    /// Whether everybody that `first` knows was read again; who has ended meanwhile would count as idle.
+    #[must_use]
+    pub fn has_all_of(&self, first: &Self) -> bool {
+        first.taken_ns.keys().all(|key| self.taken_ns.contains_key(key))
     }
 }
 
@@ -96,9 +110,11 @@ mod tests {
         let processes = vec![entry("plant", std::process::id()), entry("controller", u32::MAX)];
         let roster = Roster { group: "g".into(), processes };
         let first = Reading::take(&roster);
+        assert!(!first.is_of_all(&roster), "one of them is gone");
         clock::spin_until_ns(clock::now_ns() + 50_000_000);
         let last = Reading::take(&roster);
         let taken = CpuUse::between(Some(&first), Some(&last));
+        assert!(last.has_all_of(&first) && !Reading::default().has_all_of(&first));
         assert_eq!(taken.by_role().keys().collect::<Vec<_>>(), ["plant"]);
         // The other tests run in threads of the same process, so only the least is sure: not even that on a busy core.
         assert!(taken.share().unwrap() > 0.0);

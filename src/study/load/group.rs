@@ -30,8 +30,8 @@ const LOOK_NS: u64 = 20_000_000;
 const PATIENCE_NS: u64 = 30_000_000_000;
 /// Time to end in order when asked to, ns.
 const LEAVE_NS: u64 = 10_000_000_000;
-/// The second reading of the CPU time is taken so long before the end, ns.
-const BEFORE_END_NS: u64 = 50_000_000;
+/// Interval between two readings of the CPU time, ns.
+const READ_NS: u64 = 100_000_000;
 
 /// Why a run has no figures.
 #[derive(Debug, Error)]
@@ -113,7 +113,7 @@ impl Runner<'_> {
         command.process_group(0).stdin(Stdio::null()).stdout(Stdio::null()).stderr(File::create(&said)?);
         let mut launcher = Launcher(command.spawn()?);
         let give_up_ns = clock::now_ns() + run_ns + PATIENCE_NS;
-        let mut watch = CpuWatch::new(roster, run_ns);
+        let mut watch = CpuWatch::new(roster);
         loop {
             if let Some(status) = launcher.0.try_wait()? {
                 let said = fs::read_to_string(&said).unwrap_or_default();
@@ -132,31 +132,31 @@ impl Runner<'_> {
     }
 }
 
-/// Reads the CPU time of a group twice: once its clock runs, and before it stops.
+/// Reads the CPU time of a group from when its clock runs, and keeps the last reading in which everybody still lived:
+/// beside a load, the end of a run is seen late.
 struct CpuWatch {
     roster: PathBuf,
-    run_ns: u64,
     again_ns: u64,
     first: Option<Reading>,
     last: Option<Reading>,
 }
 
 impl CpuWatch {
-    fn new(roster: PathBuf, run_ns: u64) -> Self {
-        Self { roster, run_ns, again_ns: 0, first: None, last: None }
+    fn new(roster: PathBuf) -> Self {
+        Self { roster, again_ns: 0, first: None, last: None }
     }
 
     fn look(&mut self, now_ns: u64) {
-        if self.last.is_some() || now_ns < self.again_ns {
+        if now_ns < self.again_ns {
             return;
         }
         let Some(roster) = read_roster(&self.roster).filter(is_running) else { return };
-        let reading = Some(Reading::take(&roster));
-        if self.first.is_none() {
-            self.first = reading;
-            self.again_ns = now_ns + self.run_ns.saturating_sub(BEFORE_END_NS + LOOK_NS);
-        } else {
-            self.last = reading;
+        self.again_ns = now_ns + READ_NS;
+        let reading = Reading::take(&roster);
+        match &self.first {
+            None if reading.is_of_all(&roster) => self.first = Some(reading),
+            Some(first) if reading.has_all_of(first) => self.last = Some(reading),
+            _ => {}
         }
     }
 
