@@ -7,10 +7,8 @@
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 
-use loopbound_shared::clock;
+use loopbound::background::{Background, Rhythm, Work};
 use serde_json::Value;
 
 /// What every run is judged by. The two regressions are far beyond these, and no load of ordinary priority is.
@@ -47,26 +45,6 @@ struct Counts {
     other: u32,
 }
 
-/// Two threads at the ordinary priority that compute and stream through memory for 0.1 to 0.8 s, then rest as long.
-fn start_load(stop: &Arc<AtomicBool>) -> Vec<std::thread::JoinHandle<()>> {
-    let work = |thread: u64, stop: Arc<AtomicBool>| {
-        move || {
-            let mut memory = vec![1u64; 1 << 20];
-            let mut state = 0x9e37_79b9 + thread;
-            while !stop.load(Relaxed) {
-                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-                let length_ns = 100_000_000 + (state >> 33) % 700_000_000;
-                let until_ns = clock::now_ns() + length_ns;
-                while clock::now_ns() < until_ns && !stop.load(Relaxed) {
-                    memory.iter_mut().for_each(|word| *word = word.wrapping_mul(3).wrapping_add(thread));
-                }
-                clock::sleep_until_ns(clock::now_ns() + length_ns);
-            }
-        }
-    };
-    (0..2).map(|thread| std::thread::spawn(work(thread, Arc::clone(stop)))).collect()
-}
-
 /// Runs it once; what failed is printed, since a wrong verdict is worth nothing without its reason.
 fn run(executable: &Path, scenario: &Path, counts: &mut Counts, unexpected: Option<i32>) -> std::io::Result<()> {
     let output = Command::new(executable).arg("run").arg(scenario).args(["--quiet", "--json"]).output()?;
@@ -92,15 +70,14 @@ fn batch(
     text: impl Fn(u64) -> String,
 ) -> std::io::Result<Counts> {
     let path = std::env::temp_dir().join(format!("loopbound-soak-{}.toml", std::process::id()));
-    let stop = Arc::new(AtomicBool::new(false));
-    let load = start_load(&stop);
+    // They come and go: for 0.1 to 0.8 s, then as long not.
+    let load = Background::start(&[Work::Stream; 2], Rhythm::OnAndOff, &std::env::temp_dir())?;
     let mut counts = Counts::default();
     for index in 0..runs {
         std::fs::write(&path, format!("{SCENARIO}{}", text(u64::from(index) + 1)))?;
         run(executable, &path, &mut counts, Some(unexpected))?;
     }
-    stop.store(true, Relaxed);
-    load.into_iter().for_each(|thread| drop(thread.join()));
+    drop(load);
     if runs > 0 {
         std::fs::remove_file(&path)?;
     }

@@ -117,13 +117,14 @@ Examples:
   loopbound bound --latency 100us                      what that latency leaves, and the best gains for it
   loopbound bound scenarios/mismatch.toml --json")]
     Bound(bound::BoundArgs),
-    /// Run many cases at once in lockstep, and write tables, pictures and conclusions.
+    /// Run many cases of one question, and write tables, pictures and conclusions.
     #[command(after_help = "\
 Examples:
   loopbound study paper                                the paper's figures and claims
   loopbound study paper --quick --links 1,2,3,5,7
   loopbound study delay --links 1,3,7 --out study      the stability boundary, measured and predicted
-  loopbound study rate --law robust-ff")]
+  loopbound study rate --law robust-ff
+  loopbound study load --quick                         which setting for this machine, measured")]
     Study(study::StudyArgs),
     /// Answer each line of JSON with M, C, G and the acceleration at that state.
     #[command(after_help = "\

@@ -3,6 +3,7 @@
 //! One executable is all there is to install: it starts itself in the roles of the group (`roles`). The launcher is
 //! never in the loop. It alone commands the plant and cleans up after the dead.
 
+pub mod background;
 pub mod bound;
 pub mod check;
 pub mod clean;

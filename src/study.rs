@@ -1,11 +1,12 @@
-//! `loopbound study`: many lockstep runs at once, and what they say, as tables, pictures and sentences.
+//! `loopbound study`: many runs of one question, and what they say, as tables, pictures and sentences.
 //!
 //! Responsible for the command line, for the folder that takes the results and for the use of all cores. What is run and
-//! what is concluded belongs to the studies: [`paper`] and [`sweep`].
+//! what is concluded belongs to the studies: [`paper`] and [`sweep`] in lockstep, [`load`] in real time.
 
 pub mod boundary;
 pub mod cases;
 pub mod figures;
+pub mod load;
 pub mod measure;
 pub mod paper;
 pub mod sweep;
@@ -44,6 +45,15 @@ pub enum Study {
     Delay(SweepArgs),
     /// How slow the loop may be: the measured stability boundary against the predicted one.
     Rate(SweepArgs),
+    /// Which rate, wake-up mode and privileges this machine can keep: real groups under load, and what to choose.
+    #[command(after_help = "\
+Examples:
+  loopbound study load --quick                         1 kHz only, under a minute
+  loopbound study load                                 4 rates, 4 modes, 3 loads, with and without privileges: 7 min
+  loopbound study load --rates 1kHz,5kHz --wakeups hybrid,block --privileges with --duration 10s
+  loopbound study load my.toml --missed-max 0.1% --cpu-max 100%
+Exit codes: 0 a setting is recommended and kept its limits when measured again; 3 otherwise; 130 interrupted, with what was measured until then.")]
+    Load(load::LoadArgs),
 }
 
 /// `loopbound study paper`.
@@ -95,6 +105,7 @@ pub fn run(args: &StudyArgs) -> anyhow::Result<Exit> {
             check_links(&args.links)?;
             sweep::run(args, sweep::Axis::Period)
         }
+        Study::Load(args) => load::run(args),
     }
 }
 
@@ -126,6 +137,20 @@ impl Folder {
     pub fn write(&self, name: &str, content: impl AsRef<[u8]>) -> anyhow::Result<()> {
         let path = self.0.join(name);
         std::fs::write(&path, content).with_context(|| path.display().to_string())
+    }
+
+    /// Removes a file, if it is there.
+    ///
+    /// # Errors
+    /// If it can't be removed.
+    pub fn remove(&self, name: &str) -> anyhow::Result<()> {
+        let path = self.0.join(name);
+        match std::fs::remove_file(&path) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                Err(error).context(path.display().to_string())
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Writes a picture as SVG, which follows the reader's light or dark theme, and as PNG.

@@ -78,7 +78,7 @@ pub enum Style {
 /// Cells of equal size with a colour for each value.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeatMap {
-    /// Names of the columns, left to right.
+    /// Names of the columns, left to right; of one line or two.
     pub columns: Vec<String>,
     /// Names of the rows, top to bottom.
     pub rows: Vec<String>,

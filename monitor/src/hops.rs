@@ -3,7 +3,7 @@
 //! Latencies count from the intended time or from the stamp before, so a stalled loop hides nothing. A value beyond the
 //! range is counted at its end and as overflow, and the largest value is kept exactly: nothing is clipped silently.
 
-use hdrhistogram::Histogram;
+use hdrhistogram::{AdditionError, Histogram};
 use loopbound_shared::sample::{Receipt, TickRecord};
 
 use crate::summary::{Latency, Quantiles};
@@ -126,6 +126,24 @@ impl Distribution {
         }
     }
 
+    /// Adds all values of a histogram that was recorded elsewhere.
+    ///
+    /// # Errors
+    /// If it holds values beyond the range of this one.
+    pub fn add(&mut self, other: &Histogram<u64>) -> Result<(), AdditionError> {
+        self.histogram.add(other)
+    }
+
+    /// Takes from the figures of what was added what histograms don't hold: the exact largest value, and the counts of
+    /// values that are none.
+    pub fn note(&mut self, added: &Quantiles) {
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "it was a count of ns; saturates")]
+        let max_ns = added.max.unwrap_or(0.0) as u64;
+        self.max_ns = self.max_ns.max(max_ns);
+        self.overflow += added.overflow;
+        self.negative += added.negative;
+    }
+
     /// The histogram itself.
     #[must_use]
     pub fn histogram(&self) -> &Histogram<u64> {
@@ -189,6 +207,11 @@ impl Hops {
     #[must_use]
     pub fn of(&self, hop: Hop) -> &Distribution {
         &self.distributions[hop as usize]
+    }
+
+    /// The same, to add to.
+    pub fn of_mut(&mut self, hop: Hop) -> &mut Distribution {
+        &mut self.distributions[hop as usize]
     }
 
     /// Forgets everything.

@@ -11,6 +11,7 @@
 //! | [`summary`], [`verdict`], [`mod@render`] | the keys of `summary.json`, what they come to, one screen of text |
 //! | [`chart`] | pictures, as SVG and PNG |
 //! | [`files`], `traces`, [`plot`] | the files of a run, written by a thread of their own; percentile plots |
+//! | [`log`] | the histograms of recorded runs, added up |
 //! | [`recording`] | `samples.mcap`: what viewers open and `replay` reads |
 //! | [`live`] | the same messages to Foxglove while the group runs |
 //! | [`report`] | `report.html`, the page of a run or of two |
@@ -29,6 +30,7 @@ pub mod jitter;
 pub mod judge;
 pub mod late;
 pub mod live;
+pub mod log;
 mod members;
 pub mod plot;
 pub mod recording;

@@ -244,6 +244,11 @@ impl Running {
         Ended { code: status.code(), out: text(&self.out), err: text(&self.err) }
     }
 
+    /// The executable's process id.
+    pub(crate) fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
     /// Sends a signal to the executable.
     pub(crate) fn signal(&self, signal: Signal) {
         send(self.child.id(), signal);

@@ -17,5 +17,6 @@ mod realtime;
 mod recording;
 mod scenario_faults;
 mod strangers;
+mod studies;
 mod usage;
 mod verdicts;

@@ -280,7 +280,10 @@ fn heat(out: &mut String, map: &HeatMap, area: Area) {
     }
     for (column, name) in map.columns.iter().enumerate() {
         let x = area.x + (column as f64 + 0.5) * width;
-        text(out, Place { x, y: bottom + 17.0, anchor: "middle" }, "lb-t", 11.0, false, name);
+        for (line, part) in name.lines().enumerate() {
+            let y = bottom + 15.0 + 13.0 * line as f64;
+            text(out, Place { x, y, anchor: "middle" }, "lb-t", 11.0, false, part);
+        }
     }
 }
 

@@ -155,6 +155,12 @@ impl Blocks {
         self.closed.push(block);
     }
 
+    /// Adds all blocks of another run of the same loop: what is computed from blocks then counts both.
+    pub fn append(&mut self, other: &Self) {
+        self.closed.extend_from_slice(&other.closed);
+        self.lost += other.lost;
+    }
+
     /// The file.
     #[must_use]
     pub fn to_text(&self) -> String {

@@ -79,7 +79,9 @@ pub fn compare(a: &Blocks, b: &Blocks) -> Vec<Ratio> {
     Hop::ALL.into_iter().flat_map(|hop| compare_hop(hop, a, b)).collect()
 }
 
-fn compare_hop(hop: Hop, a: &Blocks, b: &Blocks) -> Vec<Ratio> {
+/// The ratios of all quantiles of one hop; none if a run doesn't have it.
+#[must_use]
+pub fn compare_hop(hop: Hop, a: &Blocks, b: &Blocks) -> Vec<Ratio> {
     let (a, b): (Vec<&Counts>, Vec<&Counts>) = (a.of(hop).collect(), b.of(hop).collect());
     if a.is_empty() || b.is_empty() {
         return Vec::new();
@@ -115,6 +117,38 @@ fn compare_hop(hop: Hop, a: &Blocks, b: &Blocks) -> Vec<Ratio> {
         }
     };
     QUANTILES.iter().enumerate().map(one).collect()
+}
+
+/// A quantile of one run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Estimate {
+    /// What was found, ns; [`NEVER_NS`](super::blocks::NEVER_NS) where more ticks than the rest got no torque.
+    pub value_ns: f64,
+    /// Its lower limit at 95 %; none with too few blocks.
+    pub lower_ns: Option<f64>,
+    /// Its upper limit.
+    pub upper_ns: Option<f64>,
+}
+
+/// All [`QUANTILES`] of one hop of a run, each with its interval; none if the run doesn't have the hop.
+#[must_use]
+pub fn estimates(hop: Hop, run: &Blocks) -> Option<[Estimate; QUANTILES.len()]> {
+    let blocks: Vec<&Counts> = run.of(hop).collect();
+    let mut totals = vec![0; usize::from(LAST_BUCKET) + 1];
+    let values = quantiles_of(&blocks, &mut totals);
+    let mut drawn: [Vec<f64>; QUANTILES.len()] = Default::default();
+    if blocks.len() >= BLOCKS_MIN {
+        let mut random = Random(SEED);
+        for _ in 0..RESAMPLES {
+            let chosen: Vec<&Counts> = (0..blocks.len()).map(|_| blocks[random.below(blocks.len())]).collect();
+            let quantiles = quantiles_of(&chosen, &mut totals);
+            drawn.iter_mut().zip(quantiles).for_each(|(all, value)| all.push(value));
+        }
+    }
+    drawn.iter_mut().for_each(|all| all.sort_by(f64::total_cmp));
+    let at = |index: usize, share: usize| drawn[index].get(drawn[index].len() * share / 1000).copied();
+    let one = |index| Estimate { value_ns: values[index], lower_ns: at(index, 25), upper_ns: at(index, 975) };
+    (!blocks.is_empty()).then(|| std::array::from_fn(one))
 }
 
 /// A table for people.
@@ -161,6 +195,17 @@ mod tests {
         }
         let ratios = compare(&run(1, 40, 10_000), &run(2, 40, 11_000));
         assert!(ratios.iter().all(|ratio| ratio.lower.unwrap() > 1.05 && ratio.upper.unwrap() < 1.15), "{ratios:?}");
+    }
+
+    #[test]
+    fn a_quantile_lies_within_its_interval_and_few_blocks_give_none() {
+        let [median, ..] = estimates(Hop::RoundTrip, &run(1, 40, 10_000)).unwrap();
+        let (lower_ns, upper_ns) = (median.lower_ns.unwrap(), median.upper_ns.unwrap());
+        assert!(lower_ns < median.value_ns && median.value_ns < upper_ns && upper_ns / lower_ns < 1.02, "{median:?}");
+        assert!((median.value_ns / 11_000.0 - 1.0).abs() < 0.01, "the middle of 10 to 12 µs: {median:?}");
+        let few = estimates(Hop::RoundTrip, &run(1, 3, 10_000)).unwrap();
+        assert!(few.iter().all(|estimate| estimate.lower_ns.is_none() && estimate.value_ns > 9_000.0));
+        assert_eq!(estimates(Hop::Compute, &run(1, 3, 10_000)), None);
     }
 
     #[test]
