@@ -8,7 +8,8 @@
 //! The truth comes from the injector, by the clock that the loop is stamped with, and never from the run's own evidence. A
 //! late or missed tick belongs to an injection if it was struck: the injector was at work between the instant at which
 //! the plant wakes for the tick and the end of that tick. All others of the run are counted as "not struck": they are the
-//! host's, and nobody knows their true cause.
+//! host's, and nobody knows their true cause. As many of them fall into the struck stretches by chance as their length says:
+//! that number stands beside the share that is right.
 
 use std::collections::BTreeMap;
 use std::io::Read as _;
@@ -199,8 +200,32 @@ fn timing(folder: &Path) -> anyhow::Result<(u64, u64)> {
     anyhow::bail!("fewer than two ticks were recorded")
 }
 
-/// One run: ticks by cause, those that were struck and those that were not.
-fn run(case: usize, executable: &Path, folder: &Path) -> anyhow::Result<[BTreeMap<String, u64>; 2]> {
+/// What came of one run.
+struct Outcome {
+    /// Ticks by cause: those that were struck …
+    struck: BTreeMap<String, u64>,
+    /// … and those that were not.
+    others: BTreeMap<String, u64>,
+    /// Of the struck ones, how many the host would have made late anyway.
+    by_chance: f64,
+}
+
+/// The share of the run, in the tick's sense, that is struck.
+fn share_struck(struck: Option<&Struck>, period_ns: u64, early_ns: u64) -> f64 {
+    let Some(struck) = struck else { return 1.0 / EVERY as f64 };
+    let mut stretches: Struck =
+        struck.iter().map(|(from, to)| (from.saturating_sub(period_ns), to + early_ns)).collect();
+    stretches.sort_unstable();
+    let (mut covered_ns, mut until_ns) = (0, 0);
+    for (from_ns, to_ns) in stretches {
+        covered_ns += to_ns.saturating_sub(from_ns.max(until_ns));
+        until_ns = until_ns.max(to_ns);
+    }
+    covered_ns as f64 / (RUN_S * clock::NS_PER_S - clock::NS_PER_S / 2) as f64
+}
+
+/// One run with its injections.
+fn run(case: usize, executable: &Path, folder: &Path) -> anyhow::Result<Outcome> {
     let group = format!("attribution-{}-{case}", std::process::id());
     let file = folder.join("injected.toml");
     std::fs::write(&file, scenario(case)?)?;
@@ -215,7 +240,7 @@ fn run(case: usize, executable: &Path, folder: &Path) -> anyhow::Result<[BTreeMa
     let struck = if CASES[case].0.contains("law") { Some(instants(&std::fs::read_to_string(&log)?)?) } else { struck };
     let (t_0_ns, period_ns) = timing(folder)?;
     let wakes_early_ns = (period_ns / 4).min(250_000);
-    let mut counts = [BTreeMap::new(), BTreeMap::new()];
+    let (mut hits, mut others) = (BTreeMap::new(), BTreeMap::new());
     for (tick, Disturbed { ticks, cause, skipped }) in disturbed(folder)? {
         let deadline_ns = t_0_ns + tick * period_ns;
         let (from_ns, to_ns) = (deadline_ns - wakes_early_ns, deadline_ns + ticks * period_ns);
@@ -223,9 +248,11 @@ fn run(case: usize, executable: &Path, folder: &Path) -> anyhow::Result<[BTreeMa
             Some(struck) => struck.iter().any(|(begin_ns, end_ns)| *begin_ns < to_ns && *end_ns > from_ns),
             None => !skipped && tick.is_multiple_of(EVERY),
         };
-        *counts[usize::from(!hit)].entry(cause).or_insert(0) += ticks;
+        *if hit { &mut hits } else { &mut others }.entry(cause).or_insert(0) += ticks;
     }
-    Ok(counts)
+    let share = share_struck(struck.as_ref(), period_ns, wakes_early_ns).min(0.99);
+    let by_chance = others.values().sum::<u64>() as f64 * share / (1.0 - share);
+    Ok(Outcome { struck: hits, others, by_chance })
 }
 
 fn main() -> anyhow::Result<()> {
@@ -241,20 +268,20 @@ fn main() -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)?;
     let mut not_struck = Vec::new();
     let head: Vec<&str> = Cause::ALL.iter().map(|cause| cause.name()).collect();
-    println!("| injected | ticks | right | {} |", head.join(" | "));
-    println!("|---|---|---|{}", "---|".repeat(head.len()));
+    println!("| injected | ticks | right | by chance | {} |", head.join(" | "));
+    println!("|---|---|---|---|{}", "---|".repeat(head.len()));
     let row = |name: &str, right: &str, counts: &BTreeMap<String, u64>| {
         let cells: Vec<String> =
             head.iter().map(|cause| counts.get(*cause).map_or_else(String::new, u64::to_string)).collect();
         println!("| {name} | {} | {right} | {} |", counts.values().sum::<u64>(), cells.join(" | "));
     };
     for (case, (name, right)) in CASES.iter().enumerate() {
-        let [struck, others] = run(case, &executable, folder)?;
+        let Outcome { struck, others, by_chance } = run(case, &executable, folder)?;
         let all: u64 = struck.values().sum();
         let hit: u64 = right.iter().filter_map(|cause| struck.get(cause.name())).sum();
-        row(name, &format!("{:.1} %", 100.0 * hit as f64 / all.max(1) as f64), &struck);
+        row(name, &format!("{:.1} % | {by_chance:.0}", 100.0 * hit as f64 / all.max(1) as f64), &struck);
         not_struck.push((format!("not struck: {name}"), others));
     }
-    not_struck.iter().for_each(|(name, others)| row(name, "", others));
+    not_struck.iter().for_each(|(name, others)| row(name, " | ", others));
     Ok(())
 }

@@ -180,7 +180,7 @@ impl PlantEnd {
             };
             let mut state = core.open(opening);
             state.published_ns = clock::now_ns();
-            core.stamp_published(state.published_ns, grace_deadline_ns);
+            core.stamp_published(state.published_ns, grace_deadline_ns, false);
             states.send(state);
             ringer.ring(block);
             waiter.wait(block, clock::now_ns(), grace_deadline_ns, &mut gap_ns, || {

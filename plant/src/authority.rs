@@ -78,6 +78,8 @@ pub struct Authority {
     links: u32,
     decision: Option<Decision>,
     grace_passed: bool,
+    /// The open tick leaves too little time to answer, by the plant's own lateness.
+    pub(crate) squeezed: bool,
     had_torque: bool,
     receipts: [Receipt; RECEIPTS_MAX],
     happenings: [Happening; HAPPENINGS_MAX],
@@ -102,6 +104,7 @@ impl Authority {
             links: u32::try_from(links).unwrap_or(0),
             decision: None,
             grace_passed: false,
+            squeezed: false,
             had_torque: false,
             receipts: [Receipt::zeroed(); RECEIPTS_MAX],
             happenings: [Happening::zeroed(); HAPPENINGS_MAX],
@@ -125,9 +128,10 @@ impl Authority {
         self.tick
     }
 
-    /// Moves the grace deadline of the open tick: it counts from the publication of the state.
-    pub fn grace_until(&mut self, grace_ns: u64) {
-        self.grace_ns = grace_ns;
+    /// Moves the grace deadline of the open tick: it counts from the publication of the state. In a `squeezed` tick the
+    /// plant published so late that less than half of the grace is left: nobody is blamed for being late then.
+    pub fn grace_until(&mut self, grace_ns: u64, squeezed: bool) {
+        (self.grace_ns, self.squeezed) = (grace_ns, squeezed);
     }
 
     /// Counts a torque that came when its tick was over.
@@ -226,10 +230,11 @@ impl Authority {
     pub fn open(&mut self, tick: u64, grace_ns: u64) {
         (self.tick, self.grace_ns) = (tick, grace_ns);
         (self.decision, self.grace_passed) = (None, false);
+        let squeezed = std::mem::replace(&mut self.squeezed, false);
         self.receipts = [Receipt::zeroed(); RECEIPTS_MAX];
         for member in self.members.iter_mut().flatten() {
             // Nothing good came in the tick before: the streak is over.
-            if !member.good {
+            if !member.good && !squeezed {
                 member.streak = 0;
             }
             (member.answer, member.answered_ns) = (None, 0);
@@ -319,6 +324,7 @@ impl Authority {
 
     fn judge(&mut self, torque: &Torque, arrived_ns: u64) -> Acceptance {
         let (tick, links, grace_ns, settled) = (self.tick, self.links, self.grace_ns, self.decision.is_some());
+        let squeezed = self.squeezed;
         let Some(member) = self.member(torque.writer) else { return Acceptance::UnknownWriter };
         if torque.tick != tick {
             return Acceptance::Stale;
@@ -352,7 +358,7 @@ impl Authority {
             if matches!(member.standing, Standing::Fenced { .. }) && member.streak >= READMIT_AFTER {
                 member.standing = Standing::Standby;
             }
-        } else {
+        } else if !squeezed {
             member.streak = 0;
         }
         if matches!(member.standing, Standing::Fenced { .. }) {
@@ -425,11 +431,16 @@ impl Authority {
         self.decision.is_none() && self.member(active).is_none_or(|m| m.answer.is_none() && (m.heard || passed))
     }
 
-    /// The first standby with a good torque for this very tick is obeyed from now on; the failed one is fenced.
+    /// The first standby with a good torque for this very tick is obeyed from now on; the failed one is fenced. Where the
+    /// plant's own lateness left it no time, the standby only stands in for this tick.
     fn fail_over(&mut self, now_ns: u64) -> Option<Applied> {
         let ready = |m: &&Member| m.standing == Standing::Standby && m.answer.is_some();
         let (id, answer) = self.members.iter().flatten().find(ready).map(|m| (m.id, m.answer))?;
         let failed = self.active;
+        if self.squeezed && self.member(failed).is_some_and(|m| !m.heard) {
+            self.happen(HappeningKind::StoodIn, id, u64::from(failed), 0.0);
+            return Some(self.settle(Decision::Standby, &answer?, now_ns));
+        }
         self.hand_over(id, Some(failed));
         self.swaps.forget_switch();
         self.end_watch_by_failover(failed);

@@ -140,9 +140,9 @@ impl<const N: usize> PlantCore<N> {
     }
 
     /// Stamps the publication of the open tick's state, from which the grace deadline counts.
-    pub fn stamp_published(&mut self, published_ns: u64, grace_deadline_ns: u64) {
+    pub fn stamp_published(&mut self, published_ns: u64, grace_deadline_ns: u64, squeezed: bool) {
         (self.record.published_ns, self.record.grace_deadline_ns) = (published_ns, grace_deadline_ns);
-        self.authority.grace_until(grace_deadline_ns);
+        self.authority.grace_until(grace_deadline_ns, squeezed);
     }
 
     /// Whether any tick was opened yet.

@@ -137,7 +137,7 @@ pub fn open<const N: usize>(core: &mut PlantCore<N>, tick: u64, scenario: &Scena
         wake_late_ns: u64::MAX,
     });
     state.published_ns = t_k_ns;
-    core.stamp_published(t_k_ns, grace_deadline_ns);
+    core.stamp_published(t_k_ns, grace_deadline_ns, false);
     state
 }
 

@@ -216,7 +216,8 @@ fn one_tick<const N: usize>(
     let now_ns = clock::now_ns();
     let (published_ns, grace_deadline_ns) = (suffering.stamp_ns(now_ns), times.grace_deadline_ns(tick, now_ns));
     (state.published_ns, state.grace_deadline_ns) = (published_ns, grace_deadline_ns);
-    core.stamp_published(published_ns, grace_deadline_ns);
+    let squeezed = grace_deadline_ns.saturating_sub(now_ns) < times.grace_ns / 2;
+    core.stamp_published(published_ns, grace_deadline_ns, squeezed);
     suffering.publish(ports, &state, &faults);
     ports.state_bell.ring(block);
     block.pace().plant_tick.store(tick, Ordering::Release);

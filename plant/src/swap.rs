@@ -273,7 +273,7 @@ impl Authority {
             return;
         }
         let (active, rules) = (self.active, self.rules);
-        let missed = self.member(active).is_none_or(|m| m.answer.is_none() || m.streak == 0);
+        let missed = !self.squeezed && self.member(active).is_none_or(|m| m.answer.is_none() || m.streak == 0);
         let window = if rules.rollback_window >= 128 { u128::MAX } else { (1 << rules.rollback_window) - 1 };
         watch.misses = (watch.misses << 1 | u128::from(missed)) & window;
         self.watch = Some(watch);

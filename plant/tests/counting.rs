@@ -31,7 +31,7 @@ fn open(plant: &mut PlantCore<3>, tick: u64, skipped: u64) {
         skipped,
         wake_late_ns: u64::MAX,
     });
-    plant.stamp_published(deadline_ns, grace_deadline_ns);
+    plant.stamp_published(deadline_ns, grace_deadline_ns, false);
 }
 
 fn answer(plant: &mut PlantCore<3>, writer: u32, tick: u64, after_ns: u64) {

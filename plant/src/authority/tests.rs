@@ -318,3 +318,43 @@ fn decisions_of_the_plants_own_are_counted_by_their_rung() {
     let Counters { ticks, held, damped, stopped, .. } = group.counters;
     assert_eq!((ticks, held, damped, stopped), (5, 1, 2, 1));
 }
+
+#[test]
+fn nobody_loses_authority_for_being_late_in_a_tick_that_left_no_time() {
+    let mut authority = group();
+    let grace_ns = at(&authority, GRACE_NS);
+    authority.grace_until(grace_ns, true);
+    let from_standby = answer(&authority, 2);
+    assert_eq!(offer(&mut authority, &from_standby, 100_000), None);
+    let stands_in = authority.grace_passed(grace_ns);
+    assert_eq!(stands_in.map(|applied| applied.writer), Some(2));
+    assert_eq!((authority.active(), authority.counters.failovers, authority.counters.missed), ((1, 1), 0, 0));
+    let happening = happened(&mut authority, HappeningKind::StoodIn).unwrap();
+    assert_eq!((happening.subject, happening.detail), (2, 1));
+    // What it says now is late and not used; its streak is not at an end for that.
+    let streak = authority.member(1).unwrap().streak;
+    let late = answer(&authority, 1);
+    assert_eq!(offer(&mut authority, &late, GRACE_NS + 1), None);
+    assert_eq!(acceptance_of(&authority, 1), Some(Acceptance::LateUnused));
+    open(&mut authority, 2);
+    assert_eq!(authority.member(1).unwrap().streak, streak);
+    // In a tick with its time it is blamed.
+    let from_standby = answer(&authority, 2);
+    offer(&mut authority, &from_standby, 100_000);
+    let grace_ns = at(&authority, GRACE_NS);
+    assert_eq!(authority.grace_passed(grace_ns).map(|applied| applied.writer), Some(2));
+    assert_eq!((authority.active(), authority.counters.failovers), ((2, 2), 1));
+}
+
+#[test]
+fn a_bad_answer_costs_authority_even_in_a_tick_that_left_no_time() {
+    let mut authority = group();
+    let grace_ns = at(&authority, GRACE_NS);
+    authority.grace_until(grace_ns, true);
+    let from_standby = answer(&authority, 2);
+    offer(&mut authority, &from_standby, 100_000);
+    let mut bad = answer(&authority, 1);
+    bad.tau[0] = f64::NAN;
+    assert_eq!(offer(&mut authority, &bad, 100_001).map(|applied| applied.writer), Some(2));
+    assert_eq!(authority.active(), (2, 2));
+}
