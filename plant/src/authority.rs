@@ -431,13 +431,14 @@ impl Authority {
         self.decision.is_none() && self.member(active).is_none_or(|m| m.answer.is_none() && (m.heard || passed))
     }
 
-    /// The first standby with a good torque for this very tick is obeyed from now on; the failed one is fenced. Where the
-    /// plant's own lateness left it no time, the standby only stands in for this tick.
+    /// The first standby with a good torque for this very tick is obeyed from now on; the failed one is fenced. The standby
+    /// only stands in for this tick where the plant's own lateness left no time, and after a switch, where the rule of
+    /// misses decides whether it is taken back.
     fn fail_over(&mut self, now_ns: u64) -> Option<Applied> {
         let ready = |m: &&Member| m.standing == Standing::Standby && m.answer.is_some();
         let (id, answer) = self.members.iter().flatten().find(ready).map(|m| (m.id, m.answer))?;
         let failed = self.active;
-        if self.squeezed && self.member(failed).is_some_and(|m| !m.heard) {
+        if (self.squeezed || self.watch.is_some()) && self.member(failed).is_some_and(|m| !m.heard) {
             self.happen(HappeningKind::StoodIn, id, u64::from(failed), 0.0);
             return Some(self.settle(Decision::Standby, &answer?, now_ns));
         }

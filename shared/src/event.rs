@@ -132,8 +132,8 @@ codes! {
         FaultInjected = 10, "fault injected";
         /// A blend ended. Subject: controller id.
         BlendEnded = 11, "blend ended";
-        /// A standby's torque acted in a tick that the plant began too late for the controller in charge to answer; that one
-        /// stays in charge. Subject: the standby; detail: the one in charge.
+        /// A standby's torque acted and the controller in charge stays it: the plant had begun the tick too late for an answer,
+        /// or a switch is still being watched. Subject: the standby; detail: the one in charge.
         StoodIn = 12, "stood in";
     }
 

@@ -250,7 +250,7 @@ fn a_cross_fade_goes_on_with_one_of_the_two_when_the_other_is_silent() {
         bench.run(1);
         let (writer, tau) = if silent == 0 { (2, 12.0) } else { (1, 10.0) };
         assert_eq!((bench.acted, bench.authority.counters.missed), (Some((writer, tau)), 0));
-        assert_eq!(bench.authority.active().0, writer);
+        assert_eq!(bench.authority.active().0, 2, "a single miss is no verdict");
     }
 }
 
@@ -284,13 +284,42 @@ fn a_broken_promise_takes_the_swap_back_while_it_is_watched_and_not_after() {
 }
 
 #[test]
-fn a_new_controller_that_falls_silent_gives_way_in_the_same_tick_and_the_swap_counts_as_taken_back() {
+fn a_new_controller_that_is_late_once_is_stood_in_for_and_stays() {
     let mut bench = Bench::new(|_| {});
     bench.ask(30, 0, false);
     bench.run(40);
     bench.answers[1] = false;
     bench.run(1);
     assert_eq!((bench.acted, bench.authority.counters.missed), (Some((1, 10.0)), 0));
+    assert_eq!(bench.happened(HappeningKind::StoodIn), 1);
+    bench.answers[1] = true;
+    bench.run(1);
+    assert_eq!((bench.acted, bench.authority.active()), (Some((2, 12.0)), (2, 2)));
+    assert_eq!(bench.outcome().0, Some(ReplyKind::Done));
+}
+
+#[test]
+fn a_new_controller_that_falls_silent_costs_no_tick_and_the_swap_is_taken_back() {
+    let mut bench = Bench::new(|rules| (rules.rollback_misses, rules.rollback_window) = (3, 10));
+    bench.ask(30, 0, false);
+    bench.run(40);
+    bench.answers[1] = false;
+    for _ in 0..4 {
+        bench.run(1);
+        assert_eq!((bench.acted, bench.authority.counters.missed), (Some((1, 10.0)), 0));
+    }
+    assert_eq!(bench.outcome(), (Some(ReplyKind::RolledBack), Some(Refusal::Deadlines), 43));
+    assert_eq!(bench.authority.active().0, 1);
+}
+
+#[test]
+fn a_new_controller_that_talks_nonsense_is_fenced_at_once() {
+    let mut bench = Bench::new(|_| {});
+    bench.ask(30, 0, false);
+    bench.run(40);
+    bench.tau[1] = f64::NAN;
+    bench.run(1);
+    assert_eq!((bench.acted, bench.authority.counters.failovers), (Some((1, 10.0)), 1));
     assert_eq!(bench.outcome(), (Some(ReplyKind::RolledBack), Some(Refusal::Deadlines), 40));
 }
 
