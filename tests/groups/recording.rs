@@ -103,19 +103,30 @@ fn a_changed_recording_is_found_a_cut_one_is_followed_to_its_end_and_a_foreign_o
     assert!(ended.err.contains("layout of TickRecord"), "{}", ended.err);
 }
 
-#[test]
-fn an_independent_reader_opens_the_recording_and_finds_what_the_table_says() {
+/// Runs a script of the tests over a run's folder, where Python has the modules that it needs.
+fn read_by_python(modules: &str, script: &str, out: &Path) {
     let python = std::env::var("LOOPBOUND_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let has = Command::new(&python).args(["-c", "import mcap, mcap_protobuf"]).output();
+    let has = Command::new(&python).args(["-c", &format!("import {modules}")]).output();
     if !has.is_ok_and(|output| output.status.success()) {
-        eprintln!("skipped: {python} has no mcap and mcap-protobuf-support");
+        eprintln!("skipped: {python} has no {modules}");
         return;
     }
-    let case = Case::apart("reader");
-    let out = recorded(&case, SCENARIO);
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/read_mcap.py");
-    let read = Command::new(&python).arg(script).arg(&out).output().unwrap();
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests").join(script);
+    let read = Command::new(&python).arg(script).arg(out).output().unwrap();
     assert!(read.status.success(), "{}", String::from_utf8_lossy(&read.stderr));
+}
+
+#[test]
+fn an_independent_reader_opens_the_recording_and_finds_what_the_table_says() {
+    let case = Case::apart("reader");
+    read_by_python("mcap, mcap_protobuf", "read_mcap.py", &recorded(&case, SCENARIO));
+}
+
+#[test]
+fn an_independent_reader_finds_the_figures_of_the_summary_in_the_interval_log() {
+    let case = Case::apart("hlog");
+    // Realtime, so that there is something to measure, and more than one interval.
+    read_by_python("hdrh.log", "read_hlog.py", &recorded(&case, "[loop]\nduration = \"2500ms\"\n"));
 }
 
 #[test]
