@@ -112,7 +112,7 @@ fn read_by_python(modules: &str, script: &str, out: &Path) {
         return;
     }
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests").join(script);
-    let read = Command::new(&python).arg(script).arg(out).output().unwrap();
+    let read = Command::new(&python).arg(script).arg(out).output().expect("Python starts");
     assert!(read.status.success(), "{}", String::from_utf8_lossy(&read.stderr));
 }
 
