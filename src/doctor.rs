@@ -10,6 +10,7 @@ mod kernel;
 mod live;
 mod privileges;
 mod tree;
+mod wakeup;
 
 use std::path::Path;
 
@@ -18,6 +19,7 @@ use serde::Serialize;
 
 pub use live::{Live, Stalls};
 use tree::Tree;
+pub use wakeup::Lateness;
 
 /// The version of the JSON form.
 pub const REPORT_VERSION: u32 = 1;
@@ -83,7 +85,8 @@ pub struct Report {
     pub findings: Vec<Finding>,
 }
 
-/// Examines this machine; takes about a third of a second, in which it keeps one core busy to notice stalls.
+/// Examines this machine; takes about a second, in part of which it keeps one core busy to notice stalls, and half a
+/// second more where cyclictest is installed.
 #[must_use]
 pub fn examine() -> Report {
     report(Path::new("/"), &Live::probe())
@@ -100,6 +103,7 @@ pub fn report(root: &Path, live: &Live) -> Report {
         privileges::shared_memory(&tree),
         kernel::throttling(&tree),
         live.stalls_finding(),
+        wakeup::finding(live.wake_up, live.cyclictest),
         hardware::cores(&tree),
         hardware::load(&tree),
         hardware::virtualised(&tree),

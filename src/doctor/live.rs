@@ -3,6 +3,7 @@
 use loopbound_shared::clock::{kernel_tick_ns, now_ns, spin_hint};
 use loopbound_shared::realtime::{EvidenceReader, Outcome, lockable_bytes, try_fifo};
 
+use super::wakeup::Lateness;
 use super::{Finding, Status};
 
 /// How long the search for stalls spins.
@@ -23,6 +24,10 @@ pub struct Live {
     pub tick_ns: Option<u64>,
     /// Gaps in a short spin.
     pub stalls: Stalls,
+    /// How late a periodic thread wakes.
+    pub wake_up: Lateness,
+    /// The same by cyclictest, where that is installed.
+    pub cyclictest: Option<Lateness>,
 }
 
 /// Gaps above 100 µs that a spinning thread of ordinary priority noticed in its own time.
@@ -41,12 +46,20 @@ pub struct Stalls {
 }
 
 impl Live {
-    /// Probes the running system, for about a third of a second.
+    /// Probes the running system, for about a second.
     #[must_use]
     pub fn probe() -> Self {
         let (fifo, fifo_priority) = try_fifo(80);
         let lockable_bytes = lockable_bytes();
-        Self { fifo, fifo_priority, lockable_bytes, tick_ns: kernel_tick_ns(), stalls: Stalls::probe(PROBE_NS) }
+        Self {
+            fifo,
+            fifo_priority,
+            lockable_bytes,
+            tick_ns: kernel_tick_ns(),
+            stalls: Stalls::probe(PROBE_NS),
+            wake_up: Lateness::own(),
+            cyclictest: Lateness::by_cyclictest(),
+        }
     }
 
     pub(super) fn stalls_finding(&self) -> Finding {

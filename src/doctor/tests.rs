@@ -17,6 +17,8 @@ fn well() -> Live {
         lockable_bytes: None,
         tick_ns: Some(4_000_000),
         stalls: Stalls { spun_ns: 300_000_000, clock_read_ns: 30, ..Stalls::default() },
+        wake_up: Lateness { min_ns: 2_000, mean_ns: 4_000, max_ns: 9_000 },
+        cyclictest: None,
     }
 }
 
