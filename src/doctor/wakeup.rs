@@ -54,7 +54,8 @@ impl Lateness {
     pub fn by_cyclictest() -> Option<Self> {
         let (priority, interval, loops) = (PRIORITY.to_string(), (PERIOD_NS / 1000).to_string(), WAKE_UPS.to_string());
         let arguments = ["--quiet", "--priority", &priority, "--interval", &interval, "--loops", &loops];
-        let output = Command::new("cyclictest").args(arguments).output().ok().filter(|output| output.status.success())?;
+        let output =
+            Command::new("cyclictest").args(arguments).output().ok().filter(|output| output.status.success())?;
         Self::parse(&String::from_utf8_lossy(&output.stdout))
     }
 
