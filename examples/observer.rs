@@ -1,5 +1,5 @@
-//! What watching costs: the same loop with no, one and four attached monitors, and with monitors that join and leave,
-//! interleaved; prints ratios of p50 and p99 to the unwatched loop, with confidence intervals.
+//! What watching costs: the same loop with no, one and four attached monitors, with monitors that join and leave, and with the
+//! live view on a terminal (by `script`), interleaved; prints ratios of p50 and p99 to the unwatched loop, with confidence intervals.
 //!
 //! The launcher's own monitor is part of every run; "unwatched" means that nobody else is there.
 //!
@@ -18,12 +18,20 @@ use loopbound_shared::clock;
 const PERIOD_NS: u64 = 1_000_000;
 const RUN_S: u64 = 4;
 /// Names of the arrangements, and how many monitors each has.
-const CASES: [(&str, usize); 4] = [("none", 0), ("one", 1), ("four", 4), ("joining and leaving", 1)];
+const CASES: [(&str, usize); 5] = [("none", 0), ("one", 1), ("four", 4), ("joining and leaving", 1), ("live view", 1)];
 
 fn monitor(executable: &Path, group: &str, duration: &str) -> anyhow::Result<Child> {
     let mut command = Command::new(executable);
     command.args(["monitor", "--group", group, "--json", "--duration", duration]);
     Ok(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn()?)
+}
+
+/// The live view on a terminal that nobody looks at; it ends with the group.
+fn live_view(executable: &Path, group: &str) -> anyhow::Result<Child> {
+    let line = format!("stty cols 130 rows 40; exec {} monitor --group {group} --tui", executable.display());
+    let mut command = Command::new("script");
+    command.args(["--quiet", "--flush", "--command", &line, "/dev/null"]);
+    Ok(command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn()?)
 }
 
 fn run(executable: &Path, case: usize, out: &Path) -> anyhow::Result<Blocks> {
@@ -38,6 +46,8 @@ fn run(executable: &Path, case: usize, out: &Path) -> anyhow::Result<Blocks> {
         while launcher.try_wait()?.is_none() {
             monitor(executable, &group, "200ms")?.wait()?;
         }
+    } else if CASES[case].0 == "live view" {
+        monitors.push(live_view(executable, &group)?);
     } else {
         for _ in 0..CASES[case].1 {
             monitors.push(monitor(executable, &group, "60s")?);
@@ -57,8 +67,11 @@ fn main() -> anyhow::Result<()> {
     let executable: PathBuf = own.parent().and_then(Path::parent).unwrap_or(Path::new(".")).join("loopbound");
     let out = std::env::temp_dir().join(format!("loopbound-observer-{}", std::process::id()));
     let mut all: Vec<Blocks> = CASES.iter().map(|_| Blocks::new(PERIOD_NS)).collect();
-    for _ in 0..rounds {
-        for (case, blocks) in all.iter_mut().enumerate() {
+    for round in 0..rounds as usize {
+        // Each round begins elsewhere, so that what drifts hits no case more than another.
+        for at in 0..CASES.len() {
+            let case = (round + at) % CASES.len();
+            let blocks = &mut all[case];
             // The first second, in which the monitors come, is left out for all alike; but not where they go on coming.
             for block in run(&executable, case, &out)?.closed().iter().filter(|block| block.index >= 5) {
                 blocks.push(block.clone());
