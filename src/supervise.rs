@@ -309,7 +309,7 @@ impl<'a> Supervisor<'a> {
             && self.active != 0
             && state.active != 0
         {
-            self.retire_after_scheduled(self.active, state.active);
+            self.retire_after_scheduled(self.active, state.active, state.tick);
             self.active = state.active;
             self.set_priorities();
         }

@@ -2,7 +2,6 @@
 //!
 //! A controller's number is never given twice: what a dead one may still have under way is of a stranger.
 
-use loopbound_shared::cast;
 use loopbound_shared::clock;
 use loopbound_shared::event::CommandKind;
 use loopbound_shared::realtime::{priority, set_priority};
@@ -105,12 +104,14 @@ impl Supervisor<'_> {
         self.retirements.push(Retirement { id, at_ns: clock::now_ns().saturating_add(after_ns), insist: false });
     }
 
-    /// Authority went from `from` to `to`: if the scenario had scheduled that, `from` is replaced for good, unless a later
-    /// swap goes back to it. In lockstep it stays: when it would go depends on the machine.
-    pub(super) fn retire_after_scheduled(&mut self, from: u32, to: u32) {
-        let own = self.scenario.controller.standby + 1;
-        let cast = u32::try_from(cast::controllers(self.scenario).len()).unwrap_or(u32::MAX);
-        let scheduled = (own + 1..=cast).contains(&to);
+    /// Authority went from `from` to `to` in `tick`: if the scenario had scheduled that, `from` is replaced for good, unless
+    /// a later swap goes back to it. Before its tick the new one is a standby, which may have to step in: nobody is replaced
+    /// by that. In lockstep `from` stays: when it would go depends on the machine.
+    pub(super) fn retire_after_scheduled(&mut self, from: u32, to: u32, tick: u64) {
+        let period_ns = self.scenario.period_ns();
+        let first_id = self.scenario.controller.standby + 2;
+        let started = self.scenario.swap.iter().filter(|swap| swap.to.is_none());
+        let scheduled = (first_id..).zip(started).any(|(id, swap)| id == to && swap.at.tick(period_ns) <= tick);
         let needed = self.scenario.swap.iter().any(|swap| swap.to == Some(from));
         let lives = self.controllers().any(|c| c.process.id == from && c.lives());
         if scheduled && lives && !needed && !self.lockstep() {

@@ -59,3 +59,19 @@ fn the_controller_that_a_scheduled_swap_replaced_retires() {
     case.assert_nothing_left();
     assert_eq!(ended.json()["supervision"]["deaths"], Value::Array(Vec::new()), "to retire is not to die");
 }
+
+#[test]
+fn a_controller_that_steps_in_before_its_scheduled_swap_replaces_nobody() {
+    let case = Case::new("early");
+    let scenario = "[loop]\nduration = \"20s\"\n[swap_gate]\nretire_after = \"100ms\"\n[[swap]]\nat = \"19s\"\nlaw = \"robust-ff\"\n\
+                    [[fault]]\nkind = \"nan\"\ntarget = \"controller:1\"\nat = 300\n";
+    let mut running = case.run(scenario, &[]);
+    running.process("controller", 2, &["active"]);
+    // Five times as long as a replaced one would stay.
+    loopbound_shared::clock::sleep_ns(500_000_000);
+    running.process("controller", 1, &["active", "standby", "fenced", "silent"]);
+    running.signal(rustix::process::Signal::TERM);
+    let ended = running.wait();
+    case.assert_nothing_left();
+    assert_eq!(ended.json()["supervision"]["deaths"], Value::Array(Vec::new()));
+}
