@@ -151,12 +151,6 @@ impl<const N: usize> PlantCore<N> {
         self.record.links != 0
     }
 
-    /// The evidence noted in the open tick so far.
-    #[must_use]
-    pub fn evidence(&self) -> Evidence {
-        self.record.evidence
-    }
-
     /// Runs the code of a tick without effect, so that the first one finds it warm.
     pub fn rehearse(&mut self) {
         for _ in 0..256 {
@@ -182,10 +176,9 @@ impl<const N: usize> PlantCore<N> {
     }
 
     /// Notes the loop's evidence of the open tick.
-    pub fn note_slack(&mut self, evidence: Evidence, spin_gap_ns: u64, flags: u32) {
+    pub fn note_slack(&mut self, evidence: Evidence, spin_gap_ns: u64) {
         self.record.evidence = evidence;
         self.record.spin_gap_ns = self.record.spin_gap_ns.max(spin_gap_ns);
-        self.record.flags |= flags;
     }
 
     /// Notes something in the open tick's record.

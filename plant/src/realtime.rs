@@ -13,7 +13,7 @@ use loopbound_shared::clock;
 use loopbound_shared::fault::FaultActions;
 use loopbound_shared::realtime::EvidenceReader;
 use loopbound_shared::role;
-use loopbound_shared::sample::{State, TickRecord, record_flag, state_flag};
+use loopbound_shared::sample::{State, TickRecord, state_flag};
 use loopbound_shared::scenario::Scenario;
 
 use crate::core::{Opening, PlantCore};
@@ -223,7 +223,7 @@ fn one_tick<const N: usize>(
     block.pace().plant_tick.store(tick, Ordering::Release);
     await_torque(core, ports, times.cutoff_ns(tick), grace_deadline_ns, &mut gap_ns);
     publish_closed(core, ports);
-    core.note_slack(evidence.read(), gap_ns, 0);
+    core.note_slack(evidence.read(), gap_ns);
     ports.serve(core, orders);
 }
 
@@ -294,7 +294,7 @@ impl Suffering {
     fn begin<const N: usize>(&mut self, core: &mut PlantCore<N>, ports: &Ports, tick: u64) -> FaultActions {
         let faults = ports.faults.at_tick(tick);
         if faults.any() {
-            core.note_slack(core.evidence(), 0, record_flag::FAULT_INJECTED);
+            core.note_fault(None);
             if faults.kill {
                 role::kill_self();
             }

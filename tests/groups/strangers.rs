@@ -1,6 +1,8 @@
 //! What strangers say on a group's topics is refused by the transport or counted by the plant, and never applied.
 
 use iceoryx2::prelude::*;
+use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenOrCreateError;
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use loopbound_shared::clock;
 use loopbound_shared::group::Group;
 use loopbound_shared::ports::{Node, Publisher, Subscriber};
@@ -131,30 +133,11 @@ fn a_publisher_of_another_layout_is_refused_by_the_transport() {
     running.wait_until_active();
     let (own, group) = case.join();
     let foreign = foreign_node(&group);
-    let name = ServiceName::new(Torque::NAME).expect("a name");
-    let refused = foreign
-        .service_builder(&name)
-        .publish_subscribe::<Foreign>()
-        .enable_safe_overflow(true)
-        .max_publishers(PUBLISHERS_MAX)
-        .max_subscribers(SUBSCRIBERS_MAX)
-        .max_nodes(NODES_MAX)
-        .subscriber_max_buffer_size(Torque::DEPTH)
-        .history_size(Torque::HISTORY)
-        .open_or_create();
+    let refused = torques_of::<Foreign>(&foreign);
     let refused = format!("{:?}", refused.expect_err("another layout must not be let in"));
     assert!(refused.contains("IncompatibleTypes"), "{refused}");
     // The same builder with the true type is let in, so it was the layout.
-    let let_in = foreign
-        .service_builder(&name)
-        .publish_subscribe::<Torque>()
-        .enable_safe_overflow(true)
-        .max_publishers(PUBLISHERS_MAX)
-        .max_subscribers(SUBSCRIBERS_MAX)
-        .max_nodes(NODES_MAX)
-        .subscriber_max_buffer_size(Torque::DEPTH)
-        .history_size(Torque::HISTORY)
-        .open_or_create();
+    let let_in = torques_of::<Torque>(&foreign);
     assert!(let_in.is_ok(), "{:?}", let_in.err());
     drop((let_in, foreign, own, group));
     let summary = running.wait().json();
@@ -173,4 +156,19 @@ fn foreign_node(group: &Group) -> iceoryx2::node::Node<ipc::Service> {
         .signal_handling_mode(SignalHandlingMode::Disabled)
         .create::<ipc::Service>()
         .expect("a node")
+}
+
+/// The service of the torques as this project builds it, with samples of another type perhaps.
+fn torques_of<T: std::fmt::Debug + ZeroCopySend>(
+    node: &iceoryx2::node::Node<ipc::Service>,
+) -> Result<PortFactory<ipc::Service, T, ()>, PublishSubscribeOpenOrCreateError> {
+    node.service_builder(&ServiceName::new(Torque::NAME).expect("a name"))
+        .publish_subscribe::<T>()
+        .enable_safe_overflow(true)
+        .max_publishers(PUBLISHERS_MAX)
+        .max_subscribers(SUBSCRIBERS_MAX)
+        .max_nodes(NODES_MAX)
+        .subscriber_max_buffer_size(Torque::DEPTH)
+        .history_size(Torque::HISTORY)
+        .open_or_create()
 }
