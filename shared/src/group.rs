@@ -13,6 +13,7 @@ use rustix::fs::{FlockOperation, flock};
 use thiserror::Error;
 
 use crate::layout::{FNV_START, fnv1a};
+use crate::run_id::RunId;
 
 /// Why a group can't be created or joined.
 #[derive(Debug, Error)]
@@ -50,6 +51,7 @@ fn running_list(running: &[String]) -> String {
 pub struct Group {
     name: String,
     folder: PathBuf,
+    run_id: RunId,
     alive: File,
 }
 
@@ -108,6 +110,8 @@ fn lock(folder: &Path, create: bool, operation: FlockOperation) -> Result<Option
     }
 }
 
+/// The file that holds the run's id.
+const RUN_ID_FILE: &str = "run-id";
 /// Where the system keeps shared-memory objects.
 const SHARED_MEMORY: &str = "/dev/shm";
 /// Tries of [`Group::create`], a millisecond apart: the lock of a dead group is free again by then.
@@ -142,8 +146,10 @@ impl Group {
         let Some(exclusive) = taken? else {
             return Err(GroupError::Running(name.to_owned()));
         };
-        let group = Self { name: name.to_owned(), folder, alive: exclusive };
+        let group = Self { name: name.to_owned(), folder, run_id: RunId::draw(), alive: exclusive };
         group.sweep_contents();
+        let path = group.file(RUN_ID_FILE);
+        fs::write(&path, group.run_id.to_string()).map_err(|source| GroupError::Folder { path, source })?;
         flock(&group.alive, FlockOperation::LockShared)
             .map_err(|e| GroupError::Folder { path: group.folder.clone(), source: e.into() })?;
         Ok(group)
@@ -164,9 +170,22 @@ impl Group {
             return Err(not_running());
         }
         match lock(&folder, false, FlockOperation::NonBlockingLockShared) {
-            Ok(Some(alive)) => Ok(Self { name: name.to_owned(), folder, alive }),
+            Ok(Some(alive)) => {
+                let path = folder.join(RUN_ID_FILE);
+                let text =
+                    fs::read_to_string(&path).map_err(|source| GroupError::Folder { path: path.clone(), source })?;
+                let no_id = |e| GroupError::Folder { path, source: io::Error::new(io::ErrorKind::InvalidData, e) };
+                let run_id = text.parse().map_err(no_id)?;
+                Ok(Self { name: name.to_owned(), folder, run_id, alive })
+            }
             Ok(None) | Err(_) => Err(not_running()),
         }
+    }
+
+    /// The identity of the run that this group is.
+    #[must_use]
+    pub fn run_id(&self) -> RunId {
+        self.run_id
     }
 
     /// Its name.

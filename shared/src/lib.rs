@@ -18,6 +18,7 @@ pub mod ports;
 pub mod realtime;
 pub mod rng;
 pub mod role;
+pub mod run_id;
 pub mod sample;
 pub mod scenario;
 pub mod setpoints;
