@@ -231,6 +231,22 @@ impl CauseCounts {
     }
 }
 
+/// Counts by name in words, the most frequent first; those that never occurred are left out.
+#[must_use]
+pub fn words_of(by_name: &BTreeMap<String, u64>) -> String {
+    let mut found: Vec<(u64, &str)> = by_name
+        .iter()
+        .filter(|(_, count)| **count > 0)
+        .map(|(name, count)| {
+            let known = Cause::ALL.iter().find(|cause| cause.name() == name);
+            (*count, known.map_or(name.as_str(), |cause| cause.words()))
+        })
+        .collect();
+    found.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(b.1)));
+    let list: Vec<String> = found.into_iter().map(|(count, words)| format!("{count} {words}")).collect();
+    list.join(", ")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

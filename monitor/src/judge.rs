@@ -1,8 +1,8 @@
 //! The bound, tick by tick: V, promise (a), diagnosis (b), Ψ against C1, with the certificate of whoever was in charge.
 //!
 //! Promise and diagnosis need no history but the sample that a torque answers, so a monitor may join at any time. Not
-//! checked, and not counted as checked: ticks at rest, ticks whose torques come from two laws (a swap, a blend), and
-//! whatever has no certificate.
+//! checked, and not counted as checked: ticks at rest, ticks before the first torque has acted (nothing answers a sample
+//! there), ticks whose torques come from two laws (a swap, a blend), and whatever has no certificate.
 
 use loopbound_shared::bound::certificate::{Certificate, Gains, StartError, certificate, certify};
 use loopbound_shared::bound::diagnose::{Diagnosis, IntervalDiagnosis, Segment, Verdict};
@@ -48,6 +48,8 @@ pub struct Judge<const N: usize> {
     scenario_gains: [Gains; LawKind::ALL.len()],
     step_max_ns: u64,
     settle_ns: u64,
+    period_ns: u64,
+    late_ns: u64,
     actuation_delay_ns: u64,
     /// The scenario's own law, and the controllers that have it unless they say otherwise.
     own: Option<Claim<N>>,
@@ -63,6 +65,8 @@ pub struct Judge<const N: usize> {
 struct Sample<const N: usize> {
     answered: LawInput<N>,
     scheduled: LawInput<N>,
+    /// Two laws answered it: the torque is neither's.
+    blended: bool,
 }
 
 /// What the tick before promised.
@@ -94,9 +98,11 @@ struct Figures {
     w_max_settled: Option<f64>,
 }
 
-const VERDICTS: [(Verdict, &str); 6] = [
+const VERDICTS: [(Verdict, &str); 8] = [
     (Verdict::Certified, "certified"),
     (Verdict::Latency, "latency"),
+    (Verdict::DesignedHold, "designed_hold"),
+    (Verdict::Fallback, "fallback"),
     (Verdict::ControllerFault, "controller_fault"),
     (Verdict::UncertaintyExceeded, "uncertainty_exceeded"),
     (Verdict::OutsideLevel, "outside_level"),
@@ -112,6 +118,8 @@ pub struct Judged {
     pub v_bound: Option<f64>,
     /// c, the certified level of V; none where nothing is certified.
     pub level: Option<f64>,
+    /// What the diagnosis found; none for a tick that was not checked.
+    pub verdict: Option<Verdict>,
 }
 
 impl<const N: usize> Judge<N> {
@@ -135,6 +143,8 @@ impl<const N: usize> Judge<N> {
             scenario_gains,
             step_max_ns: scenario.loop_.max_step.ns(),
             settle_ns: scenario.loop_.settle_ns(),
+            period_ns: scenario.period_ns(),
+            late_ns: scenario.loop_.late_ns(),
             actuation_delay_ns: scenario.plant.actuation_delay.ns(),
             own: None,
             own_ids_max: scenario.controller.standby.saturating_add(1),
@@ -247,6 +257,7 @@ impl<const N: usize> Judge<N> {
             v: finite(v),
             v_bound: before.and_then(|before| finite(before.v_bound)),
             level: finite(certificate.level).filter(|_| certificate.is_certified()),
+            verdict: diagnosis.map(|diagnosis| diagnosis.verdict),
         }
     }
 
@@ -264,7 +275,8 @@ impl<const N: usize> Judge<N> {
         // Without an accepted torque nobody said which setpoint was used.
         let answered =
             if record.accepted_ns == 0 && record.decision != Decision::Active.code() { scheduled } else { used };
-        self.samples[place(record.tick)] = Some((record.tick, Sample { answered, scheduled }));
+        let blended = record.decision == Decision::Blend.code();
+        self.samples[place(record.tick)] = Some((record.tick, Sample { answered, scheduled, blended }));
     }
 
     fn sample(&self, tick: u64) -> Option<&Sample<N>> {
@@ -279,26 +291,29 @@ impl<const N: usize> Judge<N> {
             || record.decision == Decision::Blend.code()
             || !claim.certificate.is_certified()
             || used.is_empty()
-            || used.iter().any(|segment| !self.is_same_law(segment.writer, claim));
+            || used.iter().any(|segment| is_before_the_first(segment) || !self.is_same_law(segment.writer, claim));
         if unfit {
             return None;
         }
-        let scheduled = self.sample(record.tick).map(|sample| sample.scheduled);
-        let nothing = Segment { to_ns: 0, tau: to_vector(&[0.0; 7]), answered: None, scheduled: None };
+        // With a delay on the way to the actuator the schedule has another sample, and often two in a tick.
+        let scheduled =
+            self.sample(record.tick).filter(|_| self.actuation_delay_ns == 0).map(|sample| sample.scheduled);
+        let nothing = Segment { to_ns: 0, tau: to_vector(&[0.0; 7]), answered: None, scheduled: None, late: false };
         let mut parts = [nothing; SEGMENTS_MAX];
         for (at, segment) in used.iter().enumerate() {
             let to_ns = used.get(at + 1).map_or(record.end_plant_ns, |next| next.from_plant_ns);
             let answered = self.sample(segment.answered_tick).filter(|_| segment.writer != 0);
+            // A torque that answers a sample which this monitor did not see, or two laws, can't be recomputed.
+            if segment.writer != 0 && answered.is_none_or(|sample| sample.blended) {
+                return None;
+            }
             parts[at] = Segment {
                 to_ns: to_ns.clamp(record.start_plant_ns, record.end_plant_ns.max(record.start_plant_ns)),
                 tau: to_vector(&segment.tau),
                 answered: answered.map(|sample| sample.answered),
                 scheduled,
+                late: segment.writer == 0 || to_ns > self.due_plant_ns(segment.answered_tick.saturating_add(1)),
             };
-            // A torque that answers a sample which this monitor did not see can't be recomputed.
-            if segment.writer != 0 && answered.is_none() {
-                return None;
-            }
         }
         let diagnosis = Diagnosis {
             truth: &self.truth,
@@ -309,6 +324,11 @@ impl<const N: usize> Judge<N> {
         let setpoint = SetpointValue { q_d: x.q_d, v_d: x.v_d, a_d: x.a_d };
         let state = PlantState { q: x.q, v: x.v };
         Some(diagnosis.interval(&state, &setpoint, record.start_plant_ns, &parts[..used.len()]))
+    }
+
+    /// When the torque of a tick acts at the latest if it is not late.
+    fn due_plant_ns(&self, tick: u64) -> u64 {
+        tick.saturating_mul(self.period_ns).saturating_add(self.late_ns + self.actuation_delay_ns)
     }
 
     fn is_same_law(&self, writer: u32, claim: &Claim<N>) -> bool {
@@ -374,12 +394,11 @@ impl<const N: usize> Judge<N> {
             .find(|(_, (verdict, _))| *verdict == found.verdict)
             .map_or((VERDICTS.len() - 1, "not_certified"), |(at, (_, name))| (at, *name));
         figures.verdicts[at] += 1;
-        let violated =
-            matches!(found.verdict, Verdict::Latency | Verdict::ControllerFault | Verdict::UncertaintyExceeded);
-        if violated {
+        if found.verdict.is_violation() {
             figures.violations += 1;
-            figures.delay_aware += u64::from(found.verdict != Verdict::Latency);
-            let kind = EventKind::Bound { verdict: name, x: found.x, int_l: found.int_l, int_f: found.int_f };
+            figures.delay_aware += u64::from(!found.verdict.is_explained_by_delay());
+            let int_f = found.int_f_own + found.int_f;
+            let kind = EventKind::Bound { verdict: name, x: found.x, int_l: found.int_l, int_f };
             events.push(record.tick, record.start_plant_ns, kind);
         }
     }
@@ -437,6 +456,11 @@ impl<const N: usize> Judge<N> {
     pub fn true_chain(&self) -> &Chain<N> {
         &self.truth.chain
     }
+}
+
+/// Whether nothing has acted yet: also the plant's own torques have the epoch of whoever should have answered.
+fn is_before_the_first(segment: &loopbound_shared::sample::Segment) -> bool {
+    segment.writer == 0 && segment.epoch == 0
 }
 
 fn place(tick: u64) -> usize {

@@ -3,6 +3,9 @@
 //! A controller's evidence travels with its *next* torque: what the kernel did to it while it was late is known one
 //! answer later. So a case against a controller waits for that answer, at most [`Config::finalise_ns`] of ticks; one
 //! against the plant is decided at once.
+//!
+//! A tick that breaks the bound under the plant's own fallback has the cause of the last missed tick: its torque is the one
+//! that did not come.
 
 use loopbound_shared::event::{Acceptance, Decision, HappeningKind};
 use loopbound_shared::realtime::Evidence;
@@ -33,6 +36,8 @@ struct Case {
     late: bool,
     /// Counts as missed so many times.
     missed: u64,
+    /// Ticks that broke the bound since no torque came in this one.
+    fallback: u64,
     decision: Option<u32>,
     deadline_to_torque_ns: u64,
     writer: u32,
@@ -53,10 +58,14 @@ pub struct Causes {
     plant_before: [Option<(Evidence, u64)>; 2],
     active_before: u32,
     joined_before: Option<u64>,
+    /// The last missed tick, and its cause once that is known.
+    last_missed: Option<(u64, Option<Cause>)>,
     /// Late ticks by cause.
     pub late: CauseCounts,
     /// Missed ticks by cause.
     pub missed: CauseCounts,
+    /// Ticks that broke the bound under the plant's own fallback, by cause.
+    fallback: CauseCounts,
 }
 
 impl Default for Causes {
@@ -67,8 +76,10 @@ impl Default for Causes {
             plant_before: [None; 2],
             active_before: 0,
             joined_before: None,
+            last_missed: None,
             late: CauseCounts::default(),
             missed: CauseCounts::default(),
+            fallback: CauseCounts::default(),
         }
     }
 }
@@ -136,6 +147,7 @@ impl Causes {
             plant_ns: record.start_plant_ns,
             late: false,
             missed: record.skipped_before,
+            fallback: 0,
             decision: None,
             deadline_to_torque_ns: 0,
             writer: 0,
@@ -171,6 +183,7 @@ impl Causes {
             plant_ns: record.start_plant_ns,
             late,
             missed: u64::from(missed),
+            fallback: 0,
             decision: Some(record.decision),
             deadline_to_torque_ns,
             writer: blamed,
@@ -179,6 +192,9 @@ impl Causes {
             silent_until: None,
             clues,
         };
+        if missed {
+            self.last_missed = Some((record.tick, None));
+        }
         let at_once = clues.part.is_plants() || clues.part == Part::Unknown || clues.injected || clues.removed;
         if at_once || self.waiting.len() == WAITING_MAX {
             self.decide(config, case, None, record.tick, events);
@@ -226,6 +242,12 @@ impl Causes {
                 case.silent_until.unwrap_or(now_tick).saturating_sub(from_tick).saturating_mul(config.period_ns);
         }
         let why = attribute(&clues);
+        self.fallback.add(why.cause, case.fallback);
+        if let Some((tick, cause)) = &mut self.last_missed
+            && *tick == case.tick
+        {
+            *cause = Some(why.cause);
+        }
         if case.late {
             self.late.add(why.cause, 1);
             let deadline_to_torque_ns = case.deadline_to_torque_ns;
@@ -255,6 +277,28 @@ impl Causes {
                 self.answers[place] = last;
             }
         }
+    }
+
+    /// The tick that was fed last broke the bound under the plant's own fallback.
+    pub fn note_fallback(&mut self) {
+        match self.last_missed {
+            Some((_, Some(cause))) => self.fallback.add(cause, 1),
+            Some((tick, None)) => {
+                if let Some(case) = self.waiting.iter_mut().rev().find(|case| case.tick == tick) {
+                    case.fallback += 1;
+                }
+            }
+            None => {}
+        }
+    }
+
+    /// Ticks that broke the bound under the plant's own fallback by what kept the torque from coming; those without a missed
+    /// tick that this monitor saw are unknown.
+    #[must_use]
+    pub fn fallback_of(&self, total: u64) -> CauseCounts {
+        let mut counts = self.fallback;
+        counts.add(Cause::Unknown, total.saturating_sub(counts.total()));
+        counts
     }
 
     /// Missed ticks by cause, with those that the plant counted and this monitor did not see as unknown.

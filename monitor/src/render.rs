@@ -2,9 +2,9 @@
 
 use std::fmt::Write as _;
 
-use crate::cause::Cause;
+use crate::cause::words_of;
 use crate::hops::Hop;
-use crate::summary::{Quantiles, Summary};
+use crate::summary::{BoundSummary, Quantiles, Summary};
 
 /// The report, at most `width` (at least 60, at most 100) columns wide; `colour` only on a terminal.
 #[must_use]
@@ -183,13 +183,11 @@ fn bound(screen: &mut Screen, summary: &Summary) {
         screen
             .entry("bound", if bound.certified { "certified, no tick checked" } else { "not certified: not checked" });
     } else {
-        let by_latency = bound.violations.saturating_sub(bound.violations_delay_aware);
         let text = format!(
-            "{} of {} ticks violated: {} by latency, {} otherwise; {} promises broken; slack min {}, mean {}",
+            "{} of {} ticks violated{}; {} promises broken; slack min {}, mean {}",
             bound.violations,
             bound.checked,
-            by_latency,
-            bound.violations_delay_aware,
+            violations(bound),
             bound.violations_promise,
             number(bound.slack_min),
             number(bound.slack_mean)
@@ -216,6 +214,25 @@ fn bound(screen: &mut Screen, summary: &Summary) {
         None => "not known for this law".to_owned(),
     };
     screen.entry("latency budget", &text);
+}
+
+/// What explains the ticks that broke the bound, in the order in which the diagnosis asks.
+fn violations(bound: &BoundSummary) -> String {
+    let explained = [
+        ("designed_hold", "by the designed hold"),
+        ("latency", "by latency"),
+        ("fallback", "under the plant's fallback"),
+    ];
+    let mut list: Vec<String> = explained
+        .into_iter()
+        .map(|(name, words)| (bound.verdicts(name), words))
+        .filter(|(count, _)| *count > 0)
+        .map(|(count, words)| format!("{count} {words}"))
+        .collect();
+    if bound.violations > 0 {
+        list.push(format!("{} otherwise", bound.violations_delay_aware));
+    }
+    if list.is_empty() { String::new() } else { format!(": {}", list.join(", ")) }
 }
 
 fn swaps(screen: &mut Screen, summary: &Summary) {
@@ -294,19 +311,10 @@ fn words(hop: Hop) -> &'static str {
     }
 }
 
-/// The causes that occurred, the most frequent first.
+/// The causes that occurred, after a colon.
 fn causes(by_name: &std::collections::BTreeMap<String, u64>) -> String {
-    let mut found: Vec<(u64, &str)> = by_name
-        .iter()
-        .filter(|(_, count)| **count > 0)
-        .map(|(name, count)| {
-            let known = Cause::ALL.iter().find(|cause| cause.name() == name);
-            (*count, known.map_or(name.as_str(), |cause| cause.words()))
-        })
-        .collect();
-    found.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(b.1)));
-    let list: Vec<String> = found.into_iter().map(|(count, words)| format!("{count} {words}")).collect();
-    if list.is_empty() { String::new() } else { format!(": {}", list.join(", ")) }
+    let list = words_of(by_name);
+    if list.is_empty() { list } else { format!(": {list}") }
 }
 
 fn hertz(rate_hz: f64) -> String {

@@ -189,12 +189,14 @@ pub struct BoundSummary {
     pub checked: u64,
     /// Ticks with X above the tolerance while V ≤ c. \[10]
     pub violations: u64,
-    /// Ticks with X − ∫L above it: latency does not explain them.
+    /// Those of them that neither the age of the torques nor the plant's own fallback explains.
     pub violations_delay_aware: u64,
     /// Ticks that broke promise (a).
     pub violations_promise: u64,
     /// Checked ticks by what the diagnosis found.
     pub verdicts: BTreeMap<String, u64>,
+    /// The ticks of verdict `fallback` by what kept the torque from coming.
+    pub fallback_by_cause: BTreeMap<String, u64>,
     /// c, the certified level of V.
     pub level: Option<f64>,
     /// κ, N·m·s. \[7]
@@ -231,6 +233,14 @@ pub struct BoundSummary {
     pub budget_used: Option<f64>,
     /// The loop latency that it is computed from, ns.
     pub loop_latency_ns: Option<f64>,
+}
+
+impl BoundSummary {
+    /// Checked ticks of a verdict.
+    #[must_use]
+    pub fn verdicts(&self, name: &str) -> u64 {
+        self.verdicts.get(name).copied().unwrap_or(0)
+    }
 }
 
 /// Tracking error over the ticks after `loop.settle`; `null` for a run that ended before.

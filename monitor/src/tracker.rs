@@ -3,6 +3,7 @@
 //! Responsible for what a record means to each figure. What a late tick means is `late`'s, what V means is `judge`'s.
 //! Numbers from a record are never trusted: counts are clamped to their arrays and differences saturate.
 
+use loopbound_shared::bound::diagnose::Verdict;
 use loopbound_shared::event::{Acceptance, Decision};
 use loopbound_shared::sample::{
     Announce, Counters, Happening, Links, Receipt, Segment, TickRecord, record_flag, to_vector,
@@ -197,6 +198,9 @@ impl<const N: usize> Tracker<N> {
         self.note_happenings(record);
         let missed = self.causes.feed(&self.config, record, settled, &mut self.events);
         let judged = self.judge.as_mut().map_or_else(Judged::default, |judge| judge.feed(record, &mut self.events));
+        if judged.verdict == Some(Verdict::Fallback) {
+            self.causes.note_fallback();
+        }
         self.swaps.feed(record, self.config.period_ns, missed, judged.v);
         self.errors.record::<N>(&self.config, record);
         self.counters = record.counters;
@@ -364,6 +368,7 @@ impl<const N: usize> Tracker<N> {
         };
         if let Some(judge) = &self.judge {
             summary.bound = judge.summary(config.period_ns, summary.latency_ns.deadline_to_torque.p99_9);
+            summary.bound.fallback_by_cause = self.causes.fallback_of(summary.bound.verdicts("fallback")).by_name();
         }
         summary.faults_injected.insert("torques_and_plant".to_owned(), counters.faults_injected);
         summary.dropped.events = self.events.dropped();

@@ -18,6 +18,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crate::cause::words_of;
 use crate::summary::{Summary, Verdict};
 
 /// The verdict so far, which the launcher's monitor leaves in the group's folder for the supervisor.
@@ -68,8 +69,15 @@ pub fn judge_summary(summary: &Summary) -> Verdict {
         "violated",
         format!("{} ticks broke the bound for another reason than latency", bound.violations_delay_aware),
     );
-    let by_latency = bound.violations.saturating_sub(bound.violations_delay_aware);
+    let by_latency = bound.verdicts("latency");
     find(by_latency > 0, "late", format!("{by_latency} ticks broke the bound, and latency suffices as the cause"));
+    let braked = bound.verdicts("fallback");
+    let why = words_of(&bound.fallback_by_cause);
+    find(
+        braked > 0,
+        "late",
+        format!("{braked} ticks broke the bound under the plant's own fallback, as no torque came: {why}"),
+    );
     find(bound.budget_used.is_some_and(|used| used >= 1.0), "late", "the latency budget [11] is used up".to_owned());
     let uncertified = summary.ticks_seen > 0 && !bound.certified;
     find(uncertified, "not certified", "nothing is certified for this law, gains and start".to_owned());

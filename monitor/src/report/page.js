@@ -7,6 +7,8 @@ const CAUSES = { run_queue_delay: 1, involuntary_switch: 4, page_fault: 3, timer
   controller_dead: 3, injected_fault: 5, setpoint_stale: 4, monitor_joined: 7, unknown: 7 };
 const WHY = {
   latency: 'late torques account for it (∫L)',
+  designed_hold: 'the hold of the sampling accounts for it, by design (∫L)',
+  fallback: 'no torque came, and the plant damped by itself (∫F₀)',
   controller_fault: 'the torque was not the law\'s (∫F)',
   uncertainty_exceeded: 'neither latency nor the torque: the disturbance or the model error is beyond what is assumed',
 };

@@ -50,6 +50,7 @@ impl Loop {
                 tau: self.law.torque(&sample) * self.factor,
                 answered: Some(sample),
                 scheduled: Some(sample),
+                late: false,
             };
             let found = diagnosis.interval(&state, &setpoint, from_ns, &[segment]);
             (state, from_ns) = (found.end, segment.to_ns);
@@ -77,8 +78,8 @@ fn a_sound_loop_raises_no_alarm_under_any_law() {
         for (period_ns, until_s) in [(1_000_000, 2.0), (100_000, 0.3)] {
             sound.period_ns = period_ns;
             for found in sound.run(until_s) {
-                // A certificate without ε leaves no room for the designed hold, which is latency and no fault.
-                let held = sound.certificate.epsilon == 0.0 && found.verdict == Verdict::Latency;
+                // A certificate without ε leaves no room for the designed hold, which is neither late nor a fault.
+                let held = sound.certificate.epsilon == 0.0 && found.verdict == Verdict::DesignedHold;
                 assert!(found.verdict == Verdict::Certified || held, "{kind} at {period_ns} ns: {found:?}");
                 assert!(found.psi_max <= sound.certificate.psi_allowed() + 1e-9, "{kind}: {found:?}");
             }
@@ -105,11 +106,69 @@ fn a_reversed_torque_is_laid_to_the_controller() {
 }
 
 #[test]
-fn an_unstable_period_of_2_2_ms_is_laid_to_latency() {
+fn an_unstable_period_of_2_2_ms_is_designed_until_v_leaves_the_level_and_latency_where_it_does() {
     let slow = Loop { period_ns: 2_200_000, ..Loop::default() };
-    let verdicts = slow.verdicts(1.0);
-    assert!(verdicts.contains(&Verdict::Latency));
-    assert!(!verdicts.contains(&Verdict::ControllerFault) && !verdicts.contains(&Verdict::UncertaintyExceeded));
+    let found = slow.run(1.0);
+    let level = slow.certificate.level;
+    assert!(found.iter().any(|f| f.verdict == Verdict::DesignedHold));
+    assert!(found.iter().any(|f| f.verdict == Verdict::Latency));
+    for f in found.iter().filter(|f| f.v_start <= level && f.verdict != Verdict::Certified) {
+        let expected = if f.v_end <= level { Verdict::DesignedHold } else { Verdict::Latency };
+        assert_eq!(f.verdict, expected, "{f:?}");
+    }
+}
+
+#[test]
+fn a_late_torque_is_latency_unless_the_hold_alone_suffices() {
+    let gains = Gains { level: 20.0, ..Gains::of(LawKind::Ctc) };
+    let sound = Loop::new(LawKind::Ctc, &gains, 0.0);
+    let held =
+        sound.run(1.0).into_iter().find(|f| f.verdict == Verdict::DesignedHold).expect("an exact model has no room");
+    let diagnosis = Diagnosis {
+        truth: &sound.truth,
+        certificate: &sound.certificate,
+        law: Some(&sound.law),
+        step_max_ns: 1_000_000,
+    };
+    let setpoint = Trajectory::<3>::of_the_paper().at(1.0);
+    let now = input(&held.end, &setpoint);
+    let verdict = |answered: LawInput<3>, late: bool| {
+        let tau = sound.law.torque(&answered);
+        let segment = Segment { to_ns: 1_001_000_000, tau, answered: Some(answered), scheduled: Some(now), late };
+        diagnosis.interval(&held.end, &setpoint, 1_000_000_000, &[segment])
+    };
+    let older = LawInput { v: now.v + Vector::repeat(0.2), ..now };
+    let late = [older, LawInput { v: now.v - Vector::repeat(0.2), ..now }].map(|sample| verdict(sample, true));
+    // One of the two errs to the wrong side: what the hold does not explain is late.
+    let worse = late.iter().find(|f| f.x > 1e-3).expect("one pushes V up");
+    assert_eq!(worse.verdict, Verdict::Latency, "{worse:?}");
+    // The very torque that was scheduled is no more to blame for having been flagged.
+    let same = verdict(now, true);
+    assert!(matches!(same.verdict, Verdict::Certified | Verdict::DesignedHold), "{same:?}");
+}
+
+#[test]
+fn a_torque_that_answers_no_sample_is_fallback_and_a_given_one_that_is_not_the_laws_answer_is_a_fault() {
+    let sound = Loop::default();
+    let diagnosis = Diagnosis {
+        truth: &sound.truth,
+        certificate: &sound.certificate,
+        law: Some(&sound.law),
+        step_max_ns: 1_000_000,
+    };
+    let setpoint = Trajectory::<3>::of_the_paper().at(0.0);
+    let state = PlantState { q: Vector::<3>::new(0.2, -0.1, 0.15), v: Vector::<3>::new(0.2, -0.2, 0.2) };
+    let sample = input(&state, &setpoint);
+    let wrong = -sound.law.torque(&sample);
+    let verdict = |answered: Option<LawInput<3>>| {
+        let segment = Segment { to_ns: 1_000_000, tau: wrong, answered, scheduled: Some(sample), late: true };
+        diagnosis.interval(&state, &setpoint, 0, &[segment])
+    };
+    let (own, given) = (verdict(None), verdict(Some(sample)));
+    assert_eq!((own.verdict, given.verdict), (Verdict::Fallback, Verdict::ControllerFault), "{own:?} {given:?}");
+    assert_eq!((own.int_f, given.int_f_own), (0.0, 0.0));
+    // What one calls the wrong torque, the other splits into the age of the sample and the wrong torque.
+    assert!((own.int_f_own - given.int_l - given.int_f).abs() < 1e-9, "{own:?} {given:?}");
 }
 
 #[test]
@@ -129,6 +188,7 @@ fn lateness_is_what_the_designed_hold_does_not_explain() {
         tau: sound.law.torque(&sample),
         answered: Some(sample),
         scheduled: Some(now),
+        late: false,
     };
     let on_time = diagnosis.interval(&state, &setpoint, 0, &[segment(now)]);
     assert_eq!(on_time.int_l.to_bits(), on_time.int_l_scheduled.to_bits());
@@ -221,7 +281,7 @@ fn the_end_of_an_interval_is_bit_for_bit_the_plants() {
     };
     let state = PlantState { q: Vector::<3>::new(0.3, -0.2, 0.25), v: Vector::<3>::new(1.0, -2.0, 3.0) };
     let tau = [Vector::<3>::new(1.0, 2.0, 3.0), Vector::<3>::new(-4.0, 5.0, 0.5)];
-    let segment = |to_ns, tau| Segment { to_ns, tau, answered: None, scheduled: None };
+    let segment = |to_ns, tau| Segment { to_ns, tau, answered: None, scheduled: None, late: false };
     let setpoint = Trajectory::<3>::of_the_paper().at(0.0);
     let found = diagnosis.interval(&state, &setpoint, 0, &[segment(300_000, tau[0]), segment(1_000_000, tau[1])]);
     let middle = crate::integrator::integrate(&sound.truth, &state, &tau[0], 0, 300_000, 1_000_000);
