@@ -33,7 +33,7 @@ const CASES: [(&str, &[Cause]); 6] = [
     ("faulting law", &[Cause::PageFault]),
     ("overrunning law", &[Cause::OwnOverrun]),
     ("delayed controller", &[Cause::InjectedFault]),
-    ("stopped controller", &[Cause::ControllerDead, Cause::ControllerLate]),
+    ("stopped controller", &[Cause::ControllerSilent, Cause::ControllerLate]),
     ("joining monitors", &[Cause::MonitorJoined]),
 ];
 /// The law that misbehaves and the injected delay strike every so many ticks.

@@ -149,7 +149,9 @@ fn the_plants_own_damping_is_fallback_and_laid_to_what_kept_the_torque_from_comi
         let bound = &summary.bound;
         assert!(count(&summary, "fallback") > 0 && bound.violations_delay_aware == 0, "{:?}", bound.verdicts);
         assert!(named.iter().all(|(_, verdict)| verdict == "fallback" || verdict == "latency"), "{named:?}");
-        assert_eq!(summary.missed_ticks, missed);
+        // It answered each of them, late: it is neither silent nor dead.
+        assert_eq!((summary.missed_ticks, summary.missed_ticks_by_cause["injected_fault"]), (missed, missed));
+        assert_eq!(summary.counters["stale"], missed);
         assert_eq!(bound.fallback_by_cause.values().sum::<u64>(), count(&summary, "fallback"));
         let status = judge_summary(&summary);
         assert_eq!(status.status, "late", "{:?}", status.reasons);

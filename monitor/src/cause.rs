@@ -4,7 +4,8 @@
 //! computation, or the way back. The thread that owns this part is then asked what the kernel did to it. The order of
 //! the questions, the first yes decides:
 //!
-//! 1. [`Cause::InjectedFault`]: the tick or its torque says that a fault was injected into it.
+//! 1. [`Cause::InjectedFault`]: the tick says that a fault was injected into it, or, where the part is the controller's, its
+//!    torque does, in time or not.
 //! 2. [`Cause::MonitorJoined`]: the plant mapped memory for a port in this tick or the one before, and its wake-up is
 //!    the part (or mapping took at least a quarter of the time lost); or the controller says that it was mapping.
 //! 3. [`Cause::PageFault`]: a major fault in the thread, or so many minor ones that they explain a quarter of the time
@@ -12,19 +13,22 @@
 //! 4. [`Cause::InvoluntarySwitch`]: another thread took the core: an involuntary switch, and run-queue delay of at
 //!    least a quarter of the time lost (any, where the delay can't be read).
 //! 5. [`Cause::RunQueueDelay`]: it was runnable and waited for a core for at least a quarter of the time lost.
-//! 6. [`Cause::ControllerDead`]: no answer from the controller in charge for at least [`SILENCE_NS`] and two ticks, or
-//!    it was removed.
-//! 7. [`Cause::PageFault`]: a minor fault in the thread.
-//! 8. [`Cause::SetpointStale`]: the setpoint of the tick was absent.
-//! 9. By part: the plant's wake-up is [`Cause::OwnOverrun`] when the thread was running for nine tenths of the time
-//!    since the last record and no gap in its spin is as long as half of the time lost, else [`Cause::TimerOrHost`];
-//!    computation is [`Cause::OwnOverrun`] of the controller; its wake-up is [`Cause::ControllerLate`]; the way back is
-//!    [`Cause::TimerOrHost`]: the torque lay there, and the plant did not run.
+//! 6. [`Cause::ControllerDead`]: the controller in charge has ended, and was removed from the group.
+//! 7. [`Cause::ControllerSilent`]: it lives, and has given no answer to what it was asked for at least [`SILENCE_NS`] and
+//!    two ticks. One that answers when the tick is over is not silent.
+//! 8. [`Cause::PageFault`]: minor faults in the thread, few enough that each would have cost up to [`MINOR_FAULT_MAX_NS`].
+//! 9. [`Cause::SetpointStale`]: the part is the controller's, and the setpoint of the tick was absent, but not because
+//!    everybody had been stopped: where setpoints ran out while the plant itself did not run, they are no cause.
+//! 10. By part: the plant's wake-up is [`Cause::OwnOverrun`] when the thread was running for nine tenths of the time
+//!     since the last record and no gap in its spin is as long as half of the time lost, else [`Cause::TimerOrHost`];
+//!     computation is [`Cause::OwnOverrun`] of the controller; its wake-up is [`Cause::ControllerLate`]; the way back is
+//!     [`Cause::TimerOrHost`]: the torque lay there, and the plant did not run.
 //!
 //! A plant that could not sleep before a tick was late from the tick before: its evidence then counts from there.
 //!
 //! Where no answer came, the time lost is the whole silence: a controller that was stopped for 20 ms and then waited 0.2 ms
-//! for its core was not late by its run queue.
+//! for its core was not late by its run queue. Silence counts from when it was asked: not while the plant did not run. A tick
+//! without an answer just before ticks that the plant slept through has the cause of those.
 //!
 //! A part is unknown only where its stamps are absent or contradict each other: [`Cause::Unknown`].
 //! A host that takes the core from a virtual machine shows in no counter of the guest. In a computation it is taken
@@ -36,7 +40,9 @@ use loopbound_shared::realtime::{Evidence, MISSING_SCHEDSTAT};
 
 /// The least that a minor page fault costs.
 pub const MINOR_FAULT_NS: u64 = 500;
-/// No answer for this long: dead, or stopped.
+/// The most that a minor page fault is taken to cost.
+pub const MINOR_FAULT_MAX_NS: u64 = 1_000_000;
+/// No answer for this long is more than being late: silent.
 pub const SILENCE_NS: u64 = 5_000_000;
 
 macro_rules! causes {
@@ -73,7 +79,9 @@ causes! {
     OwnOverrun = "own_overrun", "own overrun";
     /// The controller answered late, and nothing says why.
     ControllerLate = "controller_late", "controller late";
-    /// The controller does not answer any more.
+    /// The controller lives and does not answer.
+    ControllerSilent = "controller_silent", "controller silent";
+    /// The controller has ended.
     ControllerDead = "controller_dead", "controller dead";
     /// The setpoint of the tick was absent.
     SetpointStale = "setpoint_stale", "setpoint stale";
@@ -123,7 +131,7 @@ pub struct Clues {
     pub evidence_span_ns: u64,
     /// Longest gap that the plant saw while spinning, ns.
     pub spin_gap_ns: u64,
-    /// Tick or torque says that a fault was injected.
+    /// The tick, or a torque where the part is the controller's, says that a fault was injected.
     pub injected: bool,
     /// The plant mapped memory in this tick or the one before, and how long that took if it said so, ns.
     pub joined: Option<u64>,
@@ -133,7 +141,7 @@ pub struct Clues {
     pub two_ticks_ns: u64,
     /// The controller in charge was removed from the group.
     pub removed: bool,
-    /// The setpoint of the tick was absent.
+    /// The setpoint of the tick was absent, and the plant had been running when they ran out.
     pub setpoint_stale: bool,
 }
 
@@ -174,13 +182,16 @@ pub fn attribute(clues: &Clues) -> Attribution {
     if waited {
         return answer(Cause::RunQueueDelay, evidence.run_delay_ns);
     }
-    if clues.removed || (clues.part == Part::NoAnswer && clues.silence_ns >= SILENCE_NS.max(clues.two_ticks_ns)) {
+    if clues.removed && clues.part == Part::NoAnswer {
         return answer(Cause::ControllerDead, clues.silence_ns);
     }
-    if evidence.minor_faults > 0 {
+    if clues.part == Part::NoAnswer && clues.silence_ns >= SILENCE_NS.max(clues.two_ticks_ns) {
+        return answer(Cause::ControllerSilent, clues.silence_ns);
+    }
+    if evidence.minor_faults > 0 && evidence.minor_faults.saturating_mul(MINOR_FAULT_MAX_NS) >= enough_ns {
         return answer(Cause::PageFault, lost_ns);
     }
-    if clues.setpoint_stale {
+    if clues.setpoint_stale && !clues.part.is_plants() {
         return answer(Cause::SetpointStale, lost_ns);
     }
     answer(by_part(clues), lost_ns)
@@ -304,9 +315,9 @@ mod tests {
     }
 
     #[test]
-    fn silence_is_death_when_long_lateness_when_short_and_preemption_when_the_counters_say_so() {
+    fn a_long_silence_a_short_one_a_death_and_preemption_are_told_apart() {
         let silent = Clues { silence_ns: 6_000_000, ..late(Part::NoAnswer) };
-        assert_eq!(attribute(&silent), Attribution { cause: Cause::ControllerDead, magnitude_ns: 6_000_000 });
+        assert_eq!(attribute(&silent), Attribution { cause: Cause::ControllerSilent, magnitude_ns: 6_000_000 });
         assert_eq!(attribute(&Clues { silence_ns: 1_000_000, ..silent }).cause, Cause::ControllerLate);
         assert_eq!(attribute(&Clues { silence_ns: 0, removed: true, ..silent }).cause, Cause::ControllerDead);
         let starved = Evidence { run_delay_ns: 5_000_000, ..Evidence::default() };
@@ -314,7 +325,12 @@ mod tests {
         // A stop of 20 ms, then a short wait for the core.
         let waited = Evidence { run_delay_ns: 200_000, ..Evidence::default() };
         let stopped = Clues { silence_ns: 20_000_000, evidence: waited, ..silent };
-        assert_eq!(attribute(&stopped).cause, Cause::ControllerDead);
+        assert_eq!(attribute(&stopped).cause, Cause::ControllerSilent);
+        // One fault in passing does not explain 20 ms.
+        let faulted_once = Evidence { minor_faults: 1, ..Evidence::default() };
+        assert_eq!(attribute(&Clues { evidence: faulted_once, ..stopped }).cause, Cause::ControllerSilent);
+        let asleep = Clues { lost_ns: 300_000_000, evidence: faulted_once, ..late(Part::PlantWakeup) };
+        assert_eq!(attribute(&asleep).cause, Cause::TimerOrHost);
         let faulted = Evidence { minor_faults: 4_000, ..Evidence::default() };
         assert_eq!(attribute(&Clues { evidence: faulted, ..silent }).cause, Cause::PageFault);
     }
@@ -327,5 +343,7 @@ mod tests {
         assert_eq!(attribute(&Clues { part: Part::Compute, joined: Some(1), ..joined }).cause, Cause::PageFault);
         assert_eq!(attribute(&Clues { injected: true, ..joined }).cause, Cause::InjectedFault);
         assert_eq!(attribute(&Clues { setpoint_stale: true, ..late(Part::Compute) }).cause, Cause::SetpointStale);
+        // The plant waits for no setpoint.
+        assert_eq!(attribute(&Clues { setpoint_stale: true, ..late(Part::PlantWakeup) }).cause, Cause::TimerOrHost);
     }
 }

@@ -19,6 +19,8 @@ use crate::tracker::{Config, accepted, happenings, receipts};
 const WRITERS_MAX: usize = 2 * RECEIPTS_MAX;
 /// Cases that wait for a controller's next answer.
 const WAITING_MAX: usize = 512;
+/// Controllers that have gone, as far as is remembered.
+const GONE_MAX: usize = 64;
 
 /// The last answer of one controller, with its evidence.
 #[derive(Clone, Copy, Debug)]
@@ -41,12 +43,22 @@ struct Case {
     decision: Option<u32>,
     deadline_to_torque_ns: u64,
     writer: u32,
+    /// Since which tick the plant has been running and asking.
+    asked_since: u64,
     answered_before: Option<LastAnswer>,
     /// The controller says in its answer to this tick that it was mapping.
     mapped: bool,
     /// The first answer after a silence, by its tick: what is asked for its evidence is the answer after that.
     silent_until: Option<u64>,
     clues: Clues,
+}
+
+/// Whether setpoints are there, and if not whether the plant was running when they ran out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Setpoints {
+    Fresh,
+    RanOut,
+    RanOutWhileThePlantStood,
 }
 
 /// Finds the causes of late and missed ticks.
@@ -58,6 +70,13 @@ pub struct Causes {
     plant_before: [Option<(Evidence, u64)>; 2],
     active_before: u32,
     joined_before: Option<u64>,
+    /// A fault of the plant's own kept it busy beyond the end of the tick before.
+    overslept_by_fault: bool,
+    /// The tick with which the plant went on after it had skipped some.
+    resumed: u64,
+    setpoints: Setpoints,
+    /// Controllers that were removed from the group. Numbers are never given twice.
+    gone: Vec<u32>,
     /// The last missed tick, and its cause once that is known.
     last_missed: Option<(u64, Option<Cause>)>,
     /// Late ticks by cause.
@@ -76,6 +95,10 @@ impl Default for Causes {
             plant_before: [None; 2],
             active_before: 0,
             joined_before: None,
+            overslept_by_fault: false,
+            resumed: 0,
+            setpoints: Setpoints::Fresh,
+            gone: Vec::with_capacity(GONE_MAX),
             last_missed: None,
             late: CauseCounts::default(),
             missed: CauseCounts::default(),
@@ -87,13 +110,16 @@ impl Default for Causes {
 impl Causes {
     /// Takes the next record. `settled`: past the start-up. Returns how many ticks were missed with it.
     pub fn feed(&mut self, config: &Config, record: &TickRecord, settled: bool, events: &mut EventLog) -> u64 {
+        self.note_gone(config, record, events);
         self.decide_answered(config, record, events);
+        self.note_setpoints(record);
         let at_rest = record.flags & record_flag::AT_REST != 0;
         let mut missed = 0;
         if !at_rest {
             let clues = self.plant_clues(config, record);
             if record.skipped_before > 0 {
                 missed = record.skipped_before;
+                self.resumed = record.tick;
                 self.open_skipped(config, record, clues, events);
             }
             let is_missed = is_missed(record);
@@ -105,7 +131,7 @@ impl Causes {
                 self.open(config, record, clues, late, is_missed, deadline_to_torque_ns, events);
             }
         }
-        self.remember(record);
+        self.remember(config, record);
         missed
     }
 
@@ -122,28 +148,26 @@ impl Causes {
         let (evidence, span_ns) = since.or(self.plant_before[0]).map_or((Evidence::default(), 0), |(before, at_ns)| {
             (record.evidence.since(&before), record.sampled_ns.saturating_sub(at_ns))
         });
-        let answered = accepted(record);
         Clues {
             part: Part::PlantWakeup,
             lost_ns: 0,
             evidence,
             evidence_span_ns: span_ns,
             spin_gap_ns: record.spin_gap_ns,
-            injected: record.flags & record_flag::FAULT_INJECTED != 0
-                || answered.is_some_and(|receipt| receipt.flags & torque_flag::FAULT_INJECTED != 0),
+            injected: record.flags & record_flag::FAULT_INJECTED != 0,
             joined: joined(record).or(self.joined_before),
             silence_ns: 0,
             two_ticks_ns: config.period_ns.saturating_mul(2),
             removed: false,
-            setpoint_stale: record.flags & record_flag::SETPOINT_STALE != 0
-                || answered.is_some_and(|receipt| receipt.flags & torque_flag::SETPOINT_STALE != 0),
+            setpoint_stale: self.setpoints == Setpoints::RanOut,
         }
     }
 
     fn open_skipped(&mut self, config: &Config, record: &TickRecord, clues: Clues, events: &mut EventLog) {
         let lost_ns = record.skipped_before.saturating_mul(config.period_ns);
+        let first = record.tick.saturating_sub(record.skipped_before);
         let case = Case {
-            tick: record.tick.saturating_sub(record.skipped_before),
+            tick: first,
             plant_ns: record.start_plant_ns,
             late: false,
             missed: record.skipped_before,
@@ -151,11 +175,22 @@ impl Causes {
             decision: None,
             deadline_to_torque_ns: 0,
             writer: 0,
+            asked_since: first,
             answered_before: None,
             mapped: false,
             silent_until: None,
-            clues: Clues { lost_ns, ..clues },
+            clues: Clues { lost_ns, injected: self.overslept_by_fault, ..clues },
         };
+        // The plant stood in the tick before them already. A controller that did not answer in it may have stood as well, and
+        // nobody looked.
+        while let Some(at) = self
+            .waiting
+            .iter()
+            .position(|waiting| waiting.tick.saturating_add(1) == first && waiting.clues.part == Part::NoAnswer)
+        {
+            let before = self.waiting.remove(at);
+            self.decide(config, Case { clues: Clues { lost_ns, ..case.clues }, ..before }, None, record.tick, events);
+        }
         self.decide(config, case, None, record.tick, events);
     }
 
@@ -173,11 +208,13 @@ impl Causes {
         let blamed = if self.active_before == 0 { record.active } else { self.active_before };
         let blamed_receipt = receipts(record).iter().find(|receipt| receipt.writer == blamed);
         (clues.part, clues.lost_ns) = part_of(config, record, blamed);
-        clues.injected |= blamed_receipt
-            .is_some_and(|receipt| receipt.flags & (torque_flag::FAULT_INJECTED | torque_flag::WITHHELD) != 0);
-        clues.removed = happenings(record)
-            .iter()
-            .any(|happening| happening.kind == HappeningKind::MemberRemoved.code() && happening.subject == blamed);
+        if !clues.part.is_plants() {
+            let answers = [blamed_receipt, accepted(record)];
+            let flags = answers.into_iter().flatten().fold(0, |flags, receipt| flags | receipt.flags);
+            clues.injected |= flags & INJECTED != 0;
+            clues.setpoint_stale |= self.setpoints == Setpoints::Fresh && flags & torque_flag::SETPOINT_STALE != 0;
+        }
+        clues.removed = self.gone.contains(&blamed);
         let case = Case {
             tick: record.tick,
             plant_ns: record.start_plant_ns,
@@ -187,6 +224,7 @@ impl Causes {
             decision: Some(record.decision),
             deadline_to_torque_ns,
             writer: blamed,
+            asked_since: self.resumed,
             answered_before: self.answers.iter().find(|answer| answer.writer == blamed).copied(),
             mapped: blamed_receipt.is_some_and(|receipt| receipt.flags & torque_flag::MAPPED != 0),
             silent_until: None,
@@ -216,6 +254,8 @@ impl Causes {
                 let case = &mut self.waiting[at];
                 case.silent_until = Some(record.tick);
                 case.mapped |= answer.flags & torque_flag::MAPPED != 0;
+                // The answer that did not come in its tick has come now.
+                case.clues.injected |= answer.flags & torque_flag::CAME_LATE_INJECTED != 0;
                 at += 1;
             } else if answer.is_some() || waited_ns > config.finalise_ns {
                 self.waiting.remove(at);
@@ -238,6 +278,7 @@ impl Causes {
                 clues.joined = Some(clues.lost_ns);
             }
             let from_tick = case.answered_before.map_or(case.tick, |before| before.tick.saturating_add(1));
+            let from_tick = from_tick.max(case.asked_since);
             clues.silence_ns =
                 case.silent_until.unwrap_or(now_tick).saturating_sub(from_tick).saturating_mul(config.period_ns);
         }
@@ -260,7 +301,35 @@ impl Causes {
         }
     }
 
-    fn remember(&mut self, record: &TickRecord) {
+    /// Decides the cases of whoever has ended: no answer will come.
+    fn note_gone(&mut self, config: &Config, record: &TickRecord, events: &mut EventLog) {
+        let removed = happenings(record).iter().filter(|h| h.kind == HappeningKind::MemberRemoved.code());
+        for id in removed.map(|happening| happening.subject) {
+            if self.gone.len() == GONE_MAX {
+                self.gone.remove(0);
+            }
+            self.gone.push(id);
+            while let Some(at) = self.waiting.iter().position(|case| case.writer == id) {
+                let mut case = self.waiting.remove(at);
+                case.clues.removed = true;
+                self.decide(config, case, None, record.tick, events);
+            }
+        }
+    }
+
+    fn note_setpoints(&mut self, record: &TickRecord) {
+        let stale = record.flags & record_flag::SETPOINT_STALE != 0;
+        self.setpoints = match (stale, self.setpoints) {
+            (false, _) => Setpoints::Fresh,
+            (true, Setpoints::Fresh) if record.skipped_before > 0 => Setpoints::RanOutWhileThePlantStood,
+            (true, Setpoints::Fresh) => Setpoints::RanOut,
+            (true, since) => since,
+        };
+    }
+
+    fn remember(&mut self, config: &Config, record: &TickRecord) {
+        let end_ns = record.deadline_ns.saturating_add(config.period_ns);
+        self.overslept_by_fault = record.flags & record_flag::FAULT_INJECTED != 0 && record.published_ns >= end_ns;
         self.plant_before = [Some((record.evidence, record.sampled_ns)), self.plant_before[0]];
         self.active_before = record.active;
         self.joined_before = joined(record);
@@ -309,6 +378,9 @@ impl Causes {
         counts
     }
 }
+
+/// What of a receipt says that a fault was injected.
+const INJECTED: u32 = torque_flag::FAULT_INJECTED | torque_flag::WITHHELD | torque_flag::CAME_LATE_INJECTED;
 
 /// Whether a tick had no accepted torque by its grace deadline.
 fn is_missed(record: &TickRecord) -> bool {
@@ -370,3 +442,6 @@ fn part_of(config: &Config, record: &TickRecord, blamed: u32) -> (Part, u64) {
     }
     most
 }
+
+#[cfg(test)]
+mod tests;

@@ -139,9 +139,17 @@ impl Authority {
         self.counters.stale += 1;
     }
 
+    /// Notes a torque whose own tick is over: never applied. Its receipt says that the writer answers, and too late.
+    pub fn came_late(&mut self, torque: &Torque, arrived_ns: u64) {
+        self.count(Acceptance::Stale, torque);
+        if self.member(torque.writer).is_some() {
+            self.note_receipt(torque, arrived_ns, Acceptance::Stale);
+        }
+    }
+
     /// Notes a torque that came after the cut-off of the open tick, or belongs to an earlier one: never applied. A
     /// standby's answer in time that had not been looked at yet is noted as such.
-    pub fn too_late(&mut self, torque: &Torque) {
+    pub fn too_late(&mut self, torque: &Torque, arrived_ns: u64) {
         let in_time = torque.tick == self.tick && torque.published_ns <= self.grace_ns;
         if in_time && self.is_settled() {
             // Settled: whatever it is, it can't act any more.
@@ -150,7 +158,7 @@ impl Authority {
         } else if torque.tick == self.tick && self.is_settled() {
             let _ = self.offer(torque, u64::MAX);
         } else {
-            self.count_stale();
+            self.came_late(torque, arrived_ns);
         }
     }
 
@@ -287,9 +295,7 @@ impl Authority {
     fn consider(&mut self, torque: &Torque, arrived_ns: u64) -> Option<Applied> {
         let acceptance = self.judge(torque, arrived_ns);
         self.count(acceptance, torque);
-        if acceptance != Acceptance::Stale {
-            self.note_receipt(torque, arrived_ns, acceptance);
-        }
+        self.note_receipt(torque, arrived_ns, acceptance);
         match acceptance {
             Acceptance::Standby if self.active_failed() => self.fail_over(arrived_ns),
             Acceptance::Applied if self.blending() => self.blend_if_complete(arrived_ns),
@@ -397,24 +403,36 @@ impl Authority {
     }
 
     fn note_receipt(&mut self, torque: &Torque, arrived_ns: u64, acceptance: Acceptance) {
-        // One place a writer; a second torque of the same writer is counted and leaves the first's receipt as it is.
+        // One place a writer: the first answer to this tick, beside which one to an earlier tick leaves its mark only. A second
+        // one for this tick is counted and leaves the receipt as it is.
         let seen = |r: &&mut Receipt| r.writer == 0 || r.writer == torque.writer;
-        if let Some(receipt) = self.receipts.iter_mut().find(seen).filter(|r| r.writer == 0) {
-            *receipt = Receipt {
-                arrived_ns,
-                state_received_ns: torque.received_ns,
-                torque_published_ns: torque.published_ns,
-                setpoint_published_ns: torque.setpoint_published_ns,
-                setpoint_tick: torque.setpoint_tick,
-                run_delay_ns: torque.evidence.run_delay_ns,
-                involuntary_switches: torque.evidence.involuntary_switches,
-                faults: torque.evidence.minor_faults + torque.evidence.major_faults,
-                writer: torque.writer,
-                epoch: torque.epoch,
-                flags: torque.flags,
-                acceptance: acceptance.code(),
-            };
+        let Some(receipt) = self.receipts.iter_mut().find(seen) else { return };
+        let is_stale = acceptance == Acceptance::Stale;
+        let injected = torque.flags & torque_flag::FAULT_INJECTED != 0;
+        let mark = match (is_stale, injected) {
+            (true, true) => torque_flag::CAME_LATE | torque_flag::CAME_LATE_INJECTED,
+            (true, false) => torque_flag::CAME_LATE,
+            (false, _) => 0,
+        };
+        let marks = receipt.flags & (torque_flag::CAME_LATE | torque_flag::CAME_LATE_INJECTED) | mark;
+        if receipt.writer != 0 && (is_stale || receipt.acceptance != Acceptance::Stale.code()) {
+            receipt.flags |= marks;
+            return;
         }
+        *receipt = Receipt {
+            arrived_ns,
+            state_received_ns: torque.received_ns,
+            torque_published_ns: torque.published_ns,
+            setpoint_published_ns: torque.setpoint_published_ns,
+            setpoint_tick: torque.setpoint_tick,
+            run_delay_ns: torque.evidence.run_delay_ns,
+            involuntary_switches: torque.evidence.involuntary_switches,
+            faults: torque.evidence.minor_faults + torque.evidence.major_faults,
+            writer: torque.writer,
+            epoch: torque.epoch,
+            flags: torque.flags & !(torque_flag::CAME_LATE | torque_flag::CAME_LATE_INJECTED) | marks,
+            acceptance: acceptance.code(),
+        };
     }
 
     fn settle(&mut self, decision: Decision, torque: &Torque, from_ns: u64) -> Applied {

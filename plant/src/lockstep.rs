@@ -156,7 +156,7 @@ pub fn judge<const N: usize>(core: &mut PlantCore<N>, answers: &mut [Torque], ti
         }
         if arrives_ns > cutoff_ns {
             // By then the realtime loop is in the next tick.
-            core.authority.count_stale();
+            core.authority.came_late(torque, arrives_ns);
         } else {
             core.arrive(torque, arrives_ns);
             suffer_injected(core, torque, arrives_ns);

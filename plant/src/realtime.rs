@@ -235,7 +235,7 @@ fn prepare<const N: usize>(core: &mut PlantCore<N>, ports: &Ports) -> Option<u64
     ports.drain_setpoints(core);
     // Anything still here came after the cut-off: another tick's by the time it could act.
     while let Some(torque) = ports.next_torque() {
-        core.authority.too_late(&torque);
+        core.authority.too_late(&torque, clock::now_ns());
     }
     (took_ns > role::MAPPING_NS).then_some(took_ns)
 }

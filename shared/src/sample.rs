@@ -146,6 +146,10 @@ pub mod torque_flag {
     pub const ROGUE: u32 = 32;
     /// The controller spent long in mapping a port that joined, since its answer before.
     pub const MAPPED: u32 = 64;
+    /// In a receipt only: an answer of this writer came in this tick when its own tick was over.
+    pub const CAME_LATE: u32 = 128;
+    /// In a receipt only: a fault had been injected into that answer.
+    pub const CAME_LATE_INJECTED: u32 = 256;
 }
 
 wire! {
@@ -187,9 +191,9 @@ wire! {
         pub writer: u32,
         /// Its epoch.
         pub epoch: u32,
-        /// [`torque_flag`] as sent.
+        /// [`torque_flag`] as sent, and what the plant adds.
         pub flags: u32,
-        /// [`crate::event::Acceptance`].
+        /// [`crate::event::Acceptance`]. Stale: nothing came for this tick, and something for an earlier one.
         pub acceptance: u32,
     }
 }

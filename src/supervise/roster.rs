@@ -99,6 +99,7 @@ fn standing(id: u32, record: &TickRecord) -> &'static str {
     let answer = record.receipts.iter().find(|receipt| receipt.writer == id);
     match answer.and_then(|receipt| Acceptance::from_code(receipt.acceptance)) {
         Some(Acceptance::Fenced | Acceptance::NotFinite | Acceptance::Malformed) => "fenced",
+        Some(Acceptance::Stale) => "late",
         // A tick that the plant slept through says nothing of anybody.
         None if record.receipts.iter().any(|receipt| receipt.writer == record.active) => "silent",
         _ => "standby",
@@ -118,6 +119,7 @@ mod tests {
         for (acceptance, state) in [
             (Acceptance::Standby, "standby"),
             (Acceptance::LateUnused, "standby"),
+            (Acceptance::Stale, "late"),
             (Acceptance::Fenced, "fenced"),
             (Acceptance::NotFinite, "fenced"),
         ] {

@@ -16,6 +16,7 @@ mod lockstep;
 mod realtime;
 mod recording;
 mod scenario_faults;
+mod stopped;
 mod strangers;
 mod studies;
 mod usage;

@@ -4,7 +4,7 @@ const RUNS = JSON.parse(document.getElementById('data').textContent).runs;
 const WIDTH = RUNS.length > 1 ? 720 : 1100, LEFT = 62, RIGHT = 14, TOP = 10, BOTTOM = 24;
 const HOPS = ['wakeup', 'state_to_controller', 'compute', 'controller_to_plant', 'round_trip', 'deadline_to_torque', 'floor'];
 const CAUSES = { run_queue_delay: 1, involuntary_switch: 4, page_fault: 3, timer_or_host: 0, own_overrun: 6, controller_late: 2,
-  controller_dead: 3, injected_fault: 5, setpoint_stale: 4, monitor_joined: 7, unknown: 7 };
+  controller_silent: 3, controller_dead: 3, injected_fault: 5, setpoint_stale: 4, monitor_joined: 7, unknown: 7 };
 const WHY = {
   latency: 'late torques account for it (∫L)',
   designed_hold: 'the hold of the sampling accounts for it, by design (∫L)',

@@ -213,15 +213,15 @@ fn injected_faults_silence_and_death_are_told_apart() {
         ..withheld.receipts[0]
     };
     assert_eq!(found([good(4), withheld, good(6)]), (vec![], one("injected_fault", 1)));
-    // One tick without an answer is late, ten are death, and ten that were spent waiting for a core are that.
+    // One tick without an answer is late, ten are silence, and ten that were spent waiting for a core are that.
     assert_eq!(found([good(4), unanswered(5), good(6)]).1, one("controller_late", 1));
     let silent = || (5..15).map(unanswered);
-    assert_eq!(found([good(4)].into_iter().chain(silent()).chain([good(15)])).1, one("controller_dead", 10));
+    assert_eq!(found([good(4)].into_iter().chain(silent()).chain([good(15)])).1, one("controller_silent", 10));
     // What it waited is in the reading after the answer that ends the silence, so in the answer after that.
     let starved = with_controller_evidence(good(16), 9_000_000, 0, 0);
     assert_eq!(found([good(4)].into_iter().chain(silent()).chain([good(15), starved])).1, one("run_queue_delay", 10));
     // It never answers again: decided after the time that a monitor waits, or at the end.
-    assert_eq!(found([good(4)].into_iter().chain((5..205).map(unanswered))).1, one("controller_dead", 200));
+    assert_eq!(found([good(4)].into_iter().chain((5..205).map(unanswered))).1, one("controller_silent", 200));
     let mut removed = unanswered(5);
     removed.happenings[0] = Happening { kind: HappeningKind::MemberRemoved.code(), subject: 1, ..Happening::zeroed() };
     removed.happenings_used = 1;

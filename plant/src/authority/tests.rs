@@ -287,11 +287,44 @@ fn a_torque_after_the_cut_off_is_counted_and_never_acts() {
     offer(&mut group, &active, 10);
     // A standby's good answer that nobody had looked at keeps its streak.
     let unread = answer(&group, 2);
-    group.too_late(&unread);
+    group.too_late(&unread, 20);
     assert_eq!((acceptance_of(&group, 2), group.counters.stale), (Some(Acceptance::Standby), 0));
     open(&mut group, 2);
-    group.too_late(&old);
+    group.too_late(&old, 2 * PERIOD_NS);
     assert_eq!((group.counters.stale, group.decision()), (1, None));
+}
+
+#[test]
+fn the_receipt_of_one_that_answers_late_says_so_whether_or_not_it_answers_this_tick_too() {
+    let late = torque_flag::CAME_LATE | torque_flag::CAME_LATE_INJECTED;
+    let receipt = |group: &Authority| *group.receipts().0.iter().find(|r| r.writer == 1).expect("it was heard");
+    for order in 0..3 {
+        let mut group = group();
+        let old = Torque { flags: torque_flag::FAULT_INJECTED, ..answer(&group, 1) };
+        open(&mut group, 2);
+        let now = answer(&group, 1);
+        if order == 1 {
+            offer(&mut group, &now, 10);
+        }
+        offer(&mut group, &old, 20);
+        let only_old = (receipt(&group).acceptance, receipt(&group).flags & late);
+        if order == 0 {
+            assert_eq!(only_old, (Acceptance::Stale.code(), late));
+            continue;
+        }
+        if order == 2 {
+            offer(&mut group, &now, 30);
+        }
+        let receipt = receipt(&group);
+        assert_eq!((receipt.acceptance, receipt.flags & late), (Acceptance::Applied.code(), late), "order {order}");
+        assert_eq!((group.counters.stale, group.decision()), (1, Some(Decision::Active)));
+    }
+    // A stranger's answer to an earlier tick takes nobody's place.
+    let mut group = group();
+    let strange = Torque { writer: 99, ..answer(&group, 1) };
+    open(&mut group, 2);
+    group.too_late(&strange, 2 * PERIOD_NS);
+    assert_eq!((group.receipts().1, group.counters.stale), (0, 1));
 }
 
 #[test]
