@@ -11,7 +11,7 @@ use crate::exit::Exit;
 /// # Errors
 /// If standard output can't be written.
 pub fn run() -> anyhow::Result<Exit> {
-    let swept = group::clean();
+    let swept = group::clean()?;
     let mut out = std::io::stdout().lock();
     if swept.is_empty() {
         writeln!(out, "nothing to clean")?;
@@ -19,7 +19,7 @@ pub fn run() -> anyhow::Result<Exit> {
     for name in swept {
         writeln!(out, "cleaned {name}")?;
     }
-    for group in group::list().into_iter().filter(|g| !g.alive) {
+    for group in group::list()?.into_iter().filter(|g| !g.alive) {
         writeln!(std::io::stderr(), "loopbound: {} could not be cleaned: is it another user's?", group.name)?;
     }
     Ok(Exit::Held)

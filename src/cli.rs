@@ -24,7 +24,11 @@ use crate::{bound, check, clean, doctor, fault, model, pages, ps, replay, report
     after_help = "\
 Exit codes: 0 held; 1 an expectation failed or the bound was violated other than by latency; 2 usage or scenario;
 3 inconclusive; 4 a swap was refused or rolled back, or a fault refused; 5 a role died and was not recovered; 70 internal;
-130 interrupted; 143 terminated."
+130 interrupted; 143 terminated.
+
+Environment:
+  LOOPBOUND_RUNTIME_DIR  absolute path of the directory that running groups are kept in; it must be yours and closed to
+                         other users (mode 0700), and is made if it is not there. Default: /dev/shm/loopbound-UID"
 )]
 pub struct Cli {
     /// What to do.
@@ -97,7 +101,9 @@ Examples:
     #[command(after_help = "Examples:\n  loopbound doctor\n  loopbound doctor --json")]
     Doctor(JsonArgs),
     /// Remove what killed groups left in shared memory; running groups are not touched.
-    #[command(after_help = "Example:\n  loopbound clean")]
+    #[command(
+        after_help = "Example:\n  loopbound clean\nIt looks in /dev/shm/loopbound-UID, or where LOOPBOUND_RUNTIME_DIR says, and removes only what loopbound made there."
+    )]
     Clean,
     /// Judge a recorded run by expectations, again or for the first time.
     #[command(after_help = "\

@@ -2,7 +2,7 @@
 
 use std::io::Write as _;
 
-use loopbound_shared::group::{self, runtime_folder};
+use loopbound_shared::group::{self, file_of};
 use loopbound_shared::realtime::ProcessHandle;
 
 use crate::exit::Exit;
@@ -13,7 +13,7 @@ use crate::supervise::{ROSTER_FILE, Roster};
 /// # Errors
 /// If standard output can't be written.
 pub fn run(json: bool) -> anyhow::Result<Exit> {
-    let rosters: Vec<Roster> = group::list().into_iter().filter(|g| g.alive).map(|g| roster_of(&g.name)).collect();
+    let rosters: Vec<Roster> = group::list()?.into_iter().filter(|g| g.alive).map(|g| roster_of(&g.name)).collect();
     let mut out = std::io::stdout().lock();
     if json {
         writeln!(out, "{}", serde_json::to_string(&rosters)?)?;
@@ -25,8 +25,7 @@ pub fn run(json: bool) -> anyhow::Result<Exit> {
 
 /// The supervisor's file, corrected by what it can't know: that the supervisor itself was killed.
 fn roster_of(name: &str) -> Roster {
-    let file = runtime_folder().join(name).join(ROSTER_FILE);
-    let bytes = std::fs::read(file).unwrap_or_default();
+    let bytes = file_of(name, ROSTER_FILE).ok().and_then(|file| std::fs::read(file).ok()).unwrap_or_default();
     let mut roster: Roster = serde_json::from_slice(&bytes).unwrap_or_default();
     name.clone_into(&mut roster.group);
     for process in &mut roster.processes {

@@ -161,7 +161,7 @@ pub fn supervise(scenario: &Scenario, options: &Options<'_>) -> anyhow::Result<O
 impl<'a> Supervisor<'a> {
     fn create(scenario: &'a Scenario, options: &'a Options<'a>) -> anyhow::Result<Self> {
         let group = Group::create(&options.group)?;
-        write_whole(&group.file("scenario.toml"), scenario.to_toml()?.as_bytes()).context("the group's scenario")?;
+        group.write("scenario.toml", scenario.to_toml()?.as_bytes())?;
         let block = ControlBlock::create(&group.file("bell")).context("the group's control block")?;
         let node = Node::open(&group)?;
         let lockstep = scenario.loop_.mode == Mode::Lockstep;
@@ -187,7 +187,7 @@ impl<'a> Supervisor<'a> {
             records: node.subscriber(TickRecord::DEPTH)?,
             next_id: cast::controllers(scenario).iter().map(|part| part.id).max().unwrap_or(0) + 1,
             deaths: Vec::new(),
-            roster: RosterFile::new(&group),
+            roster: RosterFile::default(),
             active: 0,
             started_ns: clock::now_ns(),
             ready_ns: 0,
@@ -324,7 +324,7 @@ impl<'a> Supervisor<'a> {
         // Readers pass over a record without links: it is of the warm-up.
         self.newest = self.closed.latest().filter(|record| record.links != 0).or(self.newest);
         let roster = roster::roster(self.group.name(), &self.children, self.active, self.newest.as_ref());
-        self.roster.update(roster);
+        self.roster.update(&self.group, roster);
     }
 
     /// Deals with everyone that has ended since the last look. Some: so has the group.

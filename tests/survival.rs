@@ -43,7 +43,9 @@ impl Group {
     fn wait(&self, what: &str, right: impl Fn(&Roster) -> bool) -> Roster {
         let until_ns = clock::now_ns() + PATIENCE_NS;
         loop {
-            let bytes = std::fs::read(runtime_folder().join(&self.name).join(ROSTER_FILE)).unwrap_or_default();
+            let bytes =
+                std::fs::read(runtime_folder().expect("a valid runtime directory").join(&self.name).join(ROSTER_FILE))
+                    .unwrap_or_default();
             let roster: Roster = serde_json::from_slice(&bytes).unwrap_or_default();
             if right(&roster) {
                 return roster;
@@ -70,7 +72,10 @@ impl Drop for Group {
         }
         let _ = self.launcher.wait();
         if !std::thread::panicking() {
-            assert!(!Path::new(&runtime_folder().join(&self.name)).exists(), "the last one sweeps");
+            assert!(
+                !Path::new(&runtime_folder().expect("a valid runtime directory").join(&self.name)).exists(),
+                "the last one sweeps"
+            );
         }
     }
 }

@@ -6,7 +6,7 @@ use std::process::{Child, Command, Stdio};
 use anyhow::{Context as _, bail};
 use loopbound::supervise::{Entry, ROSTER_FILE, Roster};
 use loopbound_shared::clock;
-use loopbound_shared::group::{Group, runtime_folder};
+use loopbound_shared::group::{file_of, object_prefix, runtime_folder};
 use loopbound_shared::realtime::{ProcessHandle, Signal};
 use serde_json::Value;
 
@@ -26,8 +26,7 @@ impl Live {
     /// Starts `run` with `settings`, and waits until a controller is in charge.
     pub(crate) fn start(what: &str, settings: &[&str]) -> anyhow::Result<Self> {
         let name = format!("soak-{what}-{}", std::process::id());
-        // Made once beforehand to learn the prefix of its objects.
-        let prefix = Group::create(&name)?.prefix();
+        let prefix = object_prefix(&runtime_folder()?.join(&name));
         let out = tempfile::tempdir()?;
         let mut command = Command::new(std::env::current_exe()?);
         command.args(["run", "--group", &name, "--quiet", "--out"]).arg(out.path());
@@ -41,8 +40,8 @@ impl Live {
     }
 
     pub(crate) fn roster(&self) -> Roster {
-        let bytes = std::fs::read(runtime_folder().join(&self.name).join(ROSTER_FILE)).unwrap_or_default();
-        serde_json::from_slice(&bytes).unwrap_or_default()
+        let bytes = file_of(&self.name, ROSTER_FILE).ok().and_then(|path| std::fs::read(path).ok());
+        serde_json::from_slice(&bytes.unwrap_or_default()).unwrap_or_default()
     }
 
     /// Waits until the roster is as `right` wants it.
@@ -126,7 +125,7 @@ impl Live {
             String::from_utf8_lossy(&line).contains(&group)
         };
         left.extend(names("/proc").filter(of_group).map(|pid| format!("process {pid}")));
-        if runtime_folder().join(&self.name).exists() {
+        if runtime_folder().is_ok_and(|folder| folder.join(&self.name).exists()) {
             left.push("its folder".to_owned());
         }
         left

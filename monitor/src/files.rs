@@ -141,18 +141,15 @@ impl Recorder {
             let svg = crate::plot::percentile_plot(hop.name(), hops.of(hop).histogram());
             fs::write(folder.join(format!("{}.svg", hop.name())), svg)?;
         }
-        write_summary(&self.folder.join("summary.json"), summary)
+        write_atomically(&self.folder.join("summary.json"), summary_text(summary)?.as_bytes())
     }
 }
 
-/// Writes `summary.json`, whole or not at all.
-///
-/// # Errors
-/// If it can't be written.
-pub fn write_summary(path: &Path, summary: &Summary) -> io::Result<()> {
+/// The text of `summary.json`.
+pub(crate) fn summary_text(summary: &Summary) -> io::Result<String> {
     let mut text = serde_json::to_string_pretty(summary)?;
     text.push('\n');
-    write_atomically(path, text.as_bytes())
+    Ok(text)
 }
 
 pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {

@@ -12,7 +12,7 @@ use loopbound_shared::clock::{now_ns, seconds, sleep_ns, sleep_until_ns_or_signa
 use loopbound_shared::doorbell::Bell;
 use loopbound_shared::event::{Phase, Role};
 use loopbound_shared::fault::FaultPlan;
-use loopbound_shared::group::runtime_folder;
+use loopbound_shared::group::file_of;
 use loopbound_shared::ports::{Publisher, Subscriber};
 use loopbound_shared::realtime::{Privileges, die_with_parent};
 use loopbound_shared::role::{Joined, RoleArgs, RoleError, announce, build_id, join, kill_self};
@@ -21,7 +21,7 @@ use loopbound_shared::scenario::{self, Mode, Scenario};
 use loopbound_shared::topics::Topic;
 use loopbound_shared::with_links;
 
-use crate::files::{Recorder, write_summary};
+use crate::files::{Recorder, summary_text};
 use crate::judge::Judge;
 use crate::live::{Address, Live, LiveError};
 use crate::members::Members;
@@ -122,7 +122,7 @@ pub fn run(args: &MonitorArgs, stop: &AtomicBool) -> Result<Outcome, RoleError> 
     if let Some(parent) = args.parent {
         die_with_parent(parent).map_err(|e| RoleError::Other(format!("the supervisor is gone: {e}")))?;
     }
-    let joined = if args.managed { join(&role_args(args))? } else { join_soon(args, stop)? };
+    let joined = if args.managed { join(&role_args(args)?)? } else { join_soon(args, stop)? };
     let links = joined.scenario.links();
     validate(&joined.scenario.expect).map_err(|e| RoleError::Other(format!("expect: {e}")))?;
     let outcome = with_links!(links, watch::<N>(args, &joined, stop))?;
@@ -145,14 +145,14 @@ fn suffer(faults: &FaultPlan, record: &TickRecord, last_tick: Option<u64>) {
     }
 }
 
-fn role_args(args: &MonitorArgs) -> RoleArgs {
-    let scenario = args.scenario.clone().unwrap_or_else(|| runtime_folder().join(&args.group).join("scenario.toml"));
-    RoleArgs { group: args.group.clone(), id: args.id, scenario, parent: args.parent }
+fn role_args(args: &MonitorArgs) -> Result<RoleArgs, RoleError> {
+    let scenario = args.scenario.clone().map_or_else(|| file_of(&args.group, "scenario.toml"), Ok)?;
+    Ok(RoleArgs { group: args.group.clone(), id: args.id, scenario, parent: args.parent })
 }
 
 /// Joins as a guest. A group that this guest was started with may still be on its way.
 pub(crate) fn join_soon(args: &MonitorArgs, stop: &AtomicBool) -> Result<Joined, RoleError> {
-    let role = role_args(args);
+    let role = role_args(args)?;
     let give_up_ns = now_ns() + if args.parent.is_some() { START_NS } else { 0 };
     loop {
         match join(&role) {
@@ -349,7 +349,7 @@ impl<'a, const N: usize> Watch<'a, N> {
         let verdict = judge(&self.joined.scenario.expect, &summary, self.tracker.blocks(), judge_summary(&summary));
         let interim = Interim { tick: summary.last_tick.unwrap_or(0), status: verdict.status };
         // A full disc shows at the end, when the summary can't be written either.
-        let _ = interim.write(&self.joined.group.file(Interim::FILE));
+        let _ = interim.write(&self.joined.group);
     }
 
     fn close_interval(&mut self, now_ns: u64) {
@@ -474,9 +474,8 @@ fn about(args: &MonitorArgs, scenario: &Scenario) -> Result<About, RoleError> {
 /// Leaves the summary to the launcher, or prints it.
 fn report(args: &MonitorArgs, joined: &Joined, outcome: &Outcome) -> Result<(), RoleError> {
     if args.managed {
-        let path = joined.group.file("summary.json");
-        return write_summary(&path, &outcome.summary)
-            .map_err(|e| RoleError::Other(format!("{}: {e}", path.display())));
+        let text = summary_text(&outcome.summary).map_err(|e| RoleError::Other(format!("summary.json: {e}")))?;
+        return Ok(joined.group.write("summary.json", text.as_bytes())?);
     }
     if args.json {
         let text = serde_json::to_string_pretty(&outcome.summary);

@@ -15,7 +15,7 @@ use std::time::Duration;
 
 use loopbound_shared::clock::now_ns;
 use loopbound_shared::event::LiveFault;
-use loopbound_shared::group::runtime_folder;
+use loopbound_shared::group::file_of;
 use loopbound_shared::law::LawKind;
 use loopbound_shared::role::{Joined, RoleError};
 use loopbound_shared::sample::{Announce, TickRecord, record_flag};
@@ -163,9 +163,10 @@ fn command<const N: usize>(
 ) -> Receiver<String> {
     model.answer = format!("{words} …");
     let (sender, answers) = channel();
-    let path = runtime_folder().join(group).join("control");
+    let control = file_of(group, "control").map_err(io::Error::other);
     let ask = move || {
-        let answer = ask(&path, what, &request).unwrap_or_else(|error| format!("no {what}: {error}"));
+        let answer =
+            control.and_then(|path| ask(&path, what, &request)).unwrap_or_else(|error| format!("no {what}: {error}"));
         // The view may be gone by now.
         let _ = sender.send(answer);
     };

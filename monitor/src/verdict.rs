@@ -16,6 +16,7 @@ pub mod reports;
 
 use std::path::Path;
 
+use loopbound_shared::group::{Group, GroupError};
 use serde::{Deserialize, Serialize};
 
 use crate::cause::words_of;
@@ -38,8 +39,9 @@ impl Interim {
     ///
     /// # Errors
     /// If it can't be written.
-    pub fn write(&self, path: &Path) -> std::io::Result<()> {
-        crate::files::write_atomically(path, &serde_json::to_vec(self)?)
+    pub fn write(&self, group: &Group) -> Result<(), GroupError> {
+        // Two plain fields always have a JSON form.
+        group.write(Self::FILE, &serde_json::to_vec(self).unwrap_or_default())
     }
 
     /// Reads it; none if there is none yet.

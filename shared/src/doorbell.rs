@@ -84,7 +84,8 @@ impl ControlBlock {
     /// # Errors
     /// If the file can't be made.
     pub fn create(path: &Path) -> io::Result<Self> {
-        let file = File::options().read(true).write(true).create_new(true).open(path)?;
+        use std::os::unix::fs::OpenOptionsExt as _;
+        let file = File::options().read(true).write(true).create_new(true).mode(0o600).open(path)?;
         file.set_len(size_of::<Shared>() as u64)?;
         let block = Self::map(&file)?;
         // Released last: whoever sees the magic sees a whole block.

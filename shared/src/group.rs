@@ -4,16 +4,28 @@
 //! whose names start with a prefix of the group's own. Every member holds a shared lock on the folder's `alive` file;
 //! the kernel drops it when the member dies, however it dies. Whoever can take the lock exclusively is alone and
 //! sweeps: the last member on leaving, the next `run` of that name, or `clean`.
+//!
+//! `alive` is also the mark of a group: only a folder of this user's with a file of that name and the right words in it
+//! is ever swept. What lies there is private to the user, whatever the umask.
 
-use std::fs::{self, File};
-use std::io;
+mod runtime;
+mod sweep;
+
+use std::fs::File;
+use std::io::{self, Read as _, Write as _};
+use std::os::unix::fs::{FileExt as _, MetadataExt as _};
 use std::path::{Path, PathBuf};
 
-use rustix::fs::{FlockOperation, flock};
+use rustix::fs::{FlockOperation, OFlags, flock};
+use rustix::io::Errno;
+use rustix::process::geteuid;
 use thiserror::Error;
 
 use crate::layout::{FNV_START, fnv1a};
 use crate::run_id::RunId;
+use runtime::Folder;
+pub use runtime::{RUNTIME_VARIABLE, runtime_folder};
+use sweep::SHARED_MEMORY;
 
 /// Why a group can't be created or joined.
 #[derive(Debug, Error)]
@@ -31,6 +43,22 @@ pub enum GroupError {
         name: String,
         /// What runs.
         running: Vec<String>,
+    },
+    /// The variable that names the runtime directory is no absolute path.
+    #[error(
+        "{RUNTIME_VARIABLE} is {0:?}: the absolute path of a folder is needed; unset, it is /dev/shm/loopbound-UID"
+    )]
+    Variable(String),
+    /// Something of that name is there that this program did not make for this user.
+    #[error(
+        "{path} {why}; groups are kept only in a folder of your own that nobody else may enter: \
+         remove that one, or name another with {RUNTIME_VARIABLE}=/absolute/path"
+    )]
+    NotOurs {
+        /// What is there.
+        path: PathBuf,
+        /// What is wrong with it.
+        why: String,
     },
     /// The folder can't be used.
     #[error("the group's folder {path}: {source}")]
@@ -50,7 +78,8 @@ fn running_list(running: &[String]) -> String {
 #[derive(Debug)]
 pub struct Group {
     name: String,
-    folder: PathBuf,
+    runtime: Folder,
+    folder: Folder,
     run_id: RunId,
     alive: File,
 }
@@ -64,15 +93,6 @@ pub struct Found {
     pub alive: bool,
 }
 
-/// The folder in which this user's groups have theirs: `LOOPBOUND_RUNTIME_DIR`, or `/dev/shm/loopbound-UID`.
-#[must_use]
-pub fn runtime_folder() -> PathBuf {
-    std::env::var_os("LOOPBOUND_RUNTIME_DIR").map_or_else(
-        || PathBuf::from(format!("/dev/shm/loopbound-{}", rustix::process::getuid().as_raw())),
-        PathBuf::from,
-    )
-}
-
 fn check_name(name: &str) -> Result<(), GroupError> {
     let good = |c: u8| c.is_ascii_alphanumeric() || c == b'-' || c == b'_';
     if (1..=32).contains(&name.len()) && name.bytes().all(good) {
@@ -82,42 +102,89 @@ fn check_name(name: &str) -> Result<(), GroupError> {
     }
 }
 
-/// Opens `alive` and takes `operation` on it; `None` if others hold it. Retries when the folder is swept meanwhile.
-fn lock(folder: &Path, create: bool, operation: FlockOperation) -> Result<Option<File>, GroupError> {
-    use std::os::unix::fs::MetadataExt;
-    let path = folder.join("alive");
-    let fail = |source| GroupError::Folder { path: path.clone(), source };
-    loop {
-        if create {
-            fs::create_dir_all(folder).map_err(fail)?;
-        }
-        let file = match File::options().read(true).write(true).create(create).truncate(false).open(&path) {
-            Ok(file) => file,
-            Err(e) if e.kind() == io::ErrorKind::NotFound && create => continue,
-            Err(e) => return Err(fail(e)),
-        };
-        match flock(&file, operation) {
-            Ok(()) => {}
-            Err(rustix::io::Errno::WOULDBLOCK) => return Ok(None),
-            Err(e) => return Err(fail(e.into())),
-        }
-        // A sweeper may have removed the file between our open and our lock: then the lock is on nothing.
-        match fs::metadata(&path) {
-            Ok(there) if there.ino() == file.metadata().map_err(fail)?.ino() => return Ok(Some(file)),
-            _ if create => {}
-            _ => return Ok(None),
-        }
-    }
-}
-
+/// The lock's file, and the mark of a group.
+const ALIVE_FILE: &str = "alive";
+/// What is in it.
+const MARK: &[u8] = b"loopbound group\n";
 /// The file that holds the run's id.
 const RUN_ID_FILE: &str = "run-id";
-/// Where the system keeps shared-memory objects.
-const SHARED_MEMORY: &str = "/dev/shm";
 /// Tries of [`Group::create`], a millisecond apart: the lock of a dead group is free again by then.
 const CREATE_TRIES: u32 = 20;
 /// Tries of the one who leaves, a millisecond apart.
 const LEAVE_TRIES: u32 = 3;
+/// Tries to get hold of a folder that others remove meanwhile.
+const RACE_TRIES: u32 = 1000;
+
+/// What came of asking for a group's lock.
+enum Lock {
+    /// It is ours.
+    Taken { runtime: Folder, folder: Folder, alive: File },
+    /// Members hold it.
+    Held,
+    /// There is no such group.
+    Nobody,
+}
+
+/// Takes `operation` on the lock of group `name`, which is made first if `make`.
+fn lock(name: &str, make: bool, operation: FlockOperation) -> Result<Lock, GroupError> {
+    for _ in 0..RACE_TRIES {
+        let Some(runtime) = Folder::runtime(make)? else { return Ok(Lock::Nobody) };
+        let there = match runtime.folder(name, make)? {
+            Some(folder) => open_alive(&folder, make)?.map(|alive| (folder, alive)),
+            None => None,
+        };
+        let Some((folder, alive)) = there else {
+            if make {
+                continue;
+            }
+            return Ok(Lock::Nobody);
+        };
+        match flock(&alive, operation) {
+            Ok(()) => {}
+            Err(Errno::WOULDBLOCK) => return Ok(Lock::Held),
+            Err(errno) => return Err(folder.error(ALIVE_FILE, errno.into())),
+        }
+        // A sweeper may have removed the file between our open and our lock: then the lock is on nothing.
+        if alive.metadata().is_ok_and(|found| found.nlink() == 1) {
+            return Ok(Lock::Taken { runtime, folder, alive });
+        }
+        if !make {
+            return Ok(Lock::Nobody);
+        }
+    }
+    Err(GroupError::Running(name.to_owned()))
+}
+
+/// The lock's file of a folder that is a group's; with `make` an empty folder becomes one. `None` if it is not there, or
+/// being removed just now.
+fn open_alive(folder: &Folder, make: bool) -> Result<Option<File>, GroupError> {
+    let foreign = |why: &str| Err(GroupError::NotOurs { path: folder.path().to_owned(), why: why.to_owned() });
+    let unmarked = || foreign("is not a group's folder: something else is in it");
+    let file = match folder.open_file(ALIVE_FILE) {
+        Ok(file) => file,
+        Err(error) if error.kind() != io::ErrorKind::NotFound => return unmarked(),
+        Err(_) if !make => return Ok(None),
+        // Looked at before a file is made: that nothing is there.
+        Err(_) => match folder.entries() {
+            Ok(names) if !names.is_empty() => return unmarked(),
+            _ => match folder.create_file(ALIVE_FILE, OFlags::empty()) {
+                Ok(file) => file,
+                Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+                Err(error) => return Err(folder.error(ALIVE_FILE, error)),
+            },
+        },
+    };
+    // In this order: a group's maker writes the mark before anything else.
+    let alone = folder.entries().is_ok_and(|names| names.len() <= 1);
+    let found = file.metadata().map_err(|e| folder.error(ALIVE_FILE, e))?;
+    let ours = found.is_file() && found.uid() == geteuid().as_raw() && found.nlink() <= 1;
+    if ours && (has_mark(&file) || (alone && found.len() == 0)) { Ok(Some(file)) } else { unmarked() }
+}
+
+fn has_mark(file: &File) -> bool {
+    let mut bytes = [0; MARK.len() + 1];
+    file.read_at(&mut bytes, 0).is_ok_and(|length| bytes[..length] == *MARK)
+}
 
 /// Tries again what failed: [`list`] holds each lock for an instant, and whoever asks just then would take that for a
 /// living member.
@@ -138,48 +205,38 @@ impl Group {
     /// Makes a group of this name and joins it. What a dead group of that name left is swept first.
     ///
     /// # Errors
-    /// If the name is not one, the group is running, or the folder can't be made.
+    /// If the name is not one, the group is running, the folder can't be made, or something else lies in its place.
     pub fn create(name: &str) -> Result<Self, GroupError> {
         check_name(name)?;
-        let folder = runtime_folder().join(name);
-        let taken = patiently(CREATE_TRIES, || lock(&folder, true, FlockOperation::NonBlockingLockExclusive));
-        let Some(exclusive) = taken? else {
-            return Err(GroupError::Running(name.to_owned()));
-        };
-        let group = Self { name: name.to_owned(), folder, run_id: RunId::draw(), alive: exclusive };
+        let taken = patiently(CREATE_TRIES, || match lock(name, true, FlockOperation::NonBlockingLockExclusive)? {
+            Lock::Taken { runtime, folder, alive } => Ok(Some((runtime, folder, alive))),
+            Lock::Held | Lock::Nobody => Ok(None),
+        })?;
+        let Some((runtime, folder, alive)) = taken else { return Err(GroupError::Running(name.to_owned())) };
+        let group = Self { name: name.to_owned(), runtime, folder, run_id: RunId::draw(), alive };
+        group.alive.write_all_at(MARK, 0).map_err(|e| group.folder.error(ALIVE_FILE, e))?;
         group.sweep_contents();
-        let path = group.file(RUN_ID_FILE);
-        fs::write(&path, group.run_id.to_string()).map_err(|source| GroupError::Folder { path, source })?;
-        flock(&group.alive, FlockOperation::LockShared)
-            .map_err(|e| GroupError::Folder { path: group.folder.clone(), source: e.into() })?;
+        group.write(RUN_ID_FILE, group.run_id.to_string().as_bytes())?;
+        group.make_transport_root()?;
+        flock(&group.alive, FlockOperation::LockShared).map_err(|e| group.folder.error(ALIVE_FILE, e.into()))?;
         Ok(group)
     }
 
     /// Joins a running group.
     ///
     /// # Errors
-    /// If the name is not one or the group is not running.
+    /// If the name is not one, the group is not running, or the runtime directory is not this user's.
     pub fn join(name: &str) -> Result<Self, GroupError> {
         check_name(name)?;
-        let folder = runtime_folder().join(name);
-        let not_running = || GroupError::NotRunning {
-            name: name.to_owned(),
-            running: list().into_iter().filter(|g| g.alive).map(|g| g.name).collect(),
-        };
-        if !list().iter().any(|g| g.alive && g.name == name) {
-            return Err(not_running());
+        let members = list()?;
+        if members.iter().any(|g| g.alive && g.name == name)
+            && let Ok(Lock::Taken { runtime, folder, alive }) = lock(name, false, FlockOperation::NonBlockingLockShared)
+        {
+            let run_id = read_run_id(&folder).map_err(|e| folder.error(RUN_ID_FILE, e))?;
+            return Ok(Self { name: name.to_owned(), runtime, folder, run_id, alive });
         }
-        match lock(&folder, false, FlockOperation::NonBlockingLockShared) {
-            Ok(Some(alive)) => {
-                let path = folder.join(RUN_ID_FILE);
-                let text =
-                    fs::read_to_string(&path).map_err(|source| GroupError::Folder { path: path.clone(), source })?;
-                let no_id = |e| GroupError::Folder { path, source: io::Error::new(io::ErrorKind::InvalidData, e) };
-                let run_id = text.parse().map_err(no_id)?;
-                Ok(Self { name: name.to_owned(), folder, run_id, alive })
-            }
-            Ok(None) | Err(_) => Err(not_running()),
-        }
+        let running = members.into_iter().filter(|g| g.alive && g.name != name).map(|g| g.name).collect();
+        Err(GroupError::NotRunning { name: name.to_owned(), running })
     }
 
     /// The identity of the run that this group is.
@@ -194,16 +251,36 @@ impl Group {
         &self.name
     }
 
-    /// A file of the group's own.
+    /// The path of a file of the group's own, for a process that is told where it lies.
     #[must_use]
     pub fn file(&self, name: &str) -> PathBuf {
-        self.folder.join(name)
+        self.folder.path().join(name)
     }
 
-    /// The prefix of all its shared-memory objects.
+    /// Opens a file of the group's own to append to; made if it is not there.
+    ///
+    /// # Errors
+    /// The system's, with the path.
+    pub fn append(&self, name: &str) -> Result<File, GroupError> {
+        self.folder.create_file(name, OFlags::APPEND).map_err(|e| self.folder.error(name, e))
+    }
+
+    /// Writes a whole file of the group's own or nothing: a reader finds the old one or the new one.
+    ///
+    /// # Errors
+    /// The system's, with the path.
+    pub fn write(&self, name: &str, bytes: &[u8]) -> Result<(), GroupError> {
+        let new = format!("{name}.new");
+        let written = self.folder.create_file(&new, OFlags::TRUNC).and_then(|mut file| file.write_all(bytes));
+        written.and_then(|()| self.folder.rename(&new, name)).map_err(|e| self.folder.error(name, e))
+    }
+
+    /// The prefix of all its shared-memory objects. Nobody can know it before the group is there: it ends with a part of
+    /// the run's id.
     #[must_use]
     pub fn prefix(&self) -> String {
-        prefix_of(&self.folder)
+        let run = self.run_id.bits() & 0xfff_ffff;
+        format!("{}{run:07x}_", object_prefix(self.folder.path()))
     }
 
     /// Where the transport keeps its own files. Its sockets lie there, and the system allows their paths 107 bytes: so
@@ -213,13 +290,22 @@ impl Group {
         Path::new(SHARED_MEMORY).join(format!("{}t", self.prefix()))
     }
 
+    /// The transport would make its folder such that others may look into it.
+    fn make_transport_root(&self) -> Result<(), GroupError> {
+        use std::os::unix::fs::DirBuilderExt as _;
+        let path = self.transport_root();
+        std::fs::DirBuilder::new().mode(0o700).create(&path).map_err(|source| GroupError::Folder { path, source })
+    }
+
+    /// Takes everybody else's rights from what the transport has made. It gives them for one of its objects, which counts
+    /// the group's nodes.
+    pub fn close_objects(&self) {
+        sweep::close_objects(&self.prefix());
+    }
+
     fn sweep_contents(&self) {
-        sweep_shared_memory(&self.prefix());
-        for entry in fs::read_dir(&self.folder).into_iter().flatten().flatten() {
-            if entry.file_name() != "alive" {
-                remove(&entry);
-            }
-        }
+        sweep::objects(&object_prefix(self.folder.path()));
+        sweep::files(&self.folder, ALIVE_FILE);
     }
 }
 
@@ -229,125 +315,65 @@ impl Drop for Group {
         let upgrade = || Ok(flock(&self.alive, FlockOperation::NonBlockingLockExclusive).ok());
         if matches!(patiently(LEAVE_TRIES, upgrade), Ok(Some(()))) {
             self.sweep_contents();
-            let _ = fs::remove_dir_all(&self.folder);
-            let _ = fs::remove_dir(runtime_folder());
+            // The mark goes last: a sweep that is interrupted is taken up by the next.
+            let _ = self.folder.remove_file(ALIVE_FILE.as_ref());
+            let _ = self.runtime.remove_folder(&self.name);
+            self.runtime.remove_runtime();
         }
     }
 }
 
-/// Object names start with a hash over the folder, so that two users or two folders never meet.
-fn prefix_of(folder: &Path) -> String {
-    format!("lb{:016x}_", fnv1a(FNV_START, folder.as_os_str().as_encoded_bytes()))
+fn read_run_id(folder: &Folder) -> io::Result<RunId> {
+    let mut text = String::new();
+    folder.open_file(RUN_ID_FILE)?.take(64).read_to_string(&mut text)?;
+    text.parse().map_err(|e| io::Error::new(io::ErrorKind::InvalidData, e))
 }
 
-fn sweep_shared_memory(prefix: &str) {
-    for entry in fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten() {
-        if entry.file_name().as_encoded_bytes().starts_with(prefix.as_bytes()) {
-            remove(&entry);
-        }
-    }
+/// How the names of all shared-memory objects begin that groups of this folder make or have made. It has a hash over the
+/// folder, so that two users or two folders never meet.
+#[must_use]
+pub fn object_prefix(folder: &Path) -> String {
+    format!("lb{:09x}", fnv1a(FNV_START, folder.as_os_str().as_encoded_bytes()) >> 28)
 }
 
-/// What can't be removed now is found by the next sweep.
-fn remove(entry: &fs::DirEntry) {
-    let _ = if entry.file_type().is_ok_and(|t| t.is_dir()) {
-        fs::remove_dir_all(entry.path())
-    } else {
-        fs::remove_file(entry.path())
-    };
+/// The path of a file of group `name`, whether it runs or not.
+///
+/// # Errors
+/// If the name is not one, or the runtime directory has no valid name.
+pub fn file_of(name: &str, file: &str) -> Result<PathBuf, GroupError> {
+    check_name(name)?;
+    Ok(runtime_folder()?.join(name).join(file))
 }
 
 /// All groups of this user that have a folder.
-#[must_use]
-pub fn list() -> Vec<Found> {
-    let mut found: Vec<Found> = fs::read_dir(runtime_folder())
-        .into_iter()
-        .flatten()
-        .flatten()
-        .filter_map(|entry| entry.file_name().into_string().ok())
-        .filter(|name| check_name(name).is_ok())
-        .map(|name| {
-            let folder = runtime_folder().join(&name);
-            // Asking with a shared lock would make two askers see each other as members; exclusive can't be held
-            // while a member lives, and is given back at once.
-            let alive = matches!(lock(&folder, false, FlockOperation::NonBlockingLockExclusive), Ok(None));
-            Found { name, alive }
+///
+/// # Errors
+/// If the runtime directory has no valid name, or is not this user's.
+pub fn list() -> Result<Vec<Found>, GroupError> {
+    let Some(runtime) = Folder::runtime(false)? else { return Ok(Vec::new()) };
+    let names = runtime.entries().map_err(|e| runtime.error("", e))?;
+    let names = names.into_iter().filter_map(|name| name.into_string().ok()).filter(|name| check_name(name).is_ok());
+    // Asking with a shared lock would make two askers see each other as members; exclusive can't be held while a member
+    // lives, and is given back at once. What is not marked as a group's is none.
+    let mut found: Vec<Found> = names
+        .filter_map(|name| match lock(&name, false, FlockOperation::NonBlockingLockExclusive) {
+            Ok(Lock::Held) => Some(Found { name, alive: true }),
+            Ok(Lock::Taken { .. }) => Some(Found { name, alive: false }),
+            Ok(Lock::Nobody) | Err(_) => None,
         })
         .collect();
     found.sort_by(|a, b| a.name.cmp(&b.name));
-    found
+    Ok(found)
 }
 
 /// Sweeps every group of this user that has no living member; returns their names.
-#[must_use]
-pub fn clean() -> Vec<String> {
-    let dead = list().into_iter().filter(|g| !g.alive);
-    dead.filter_map(|g| Group::create(&g.name).ok().map(|group| group.name().to_owned())).collect()
+///
+/// # Errors
+/// If the runtime directory has no valid name, or is not this user's.
+pub fn clean() -> Result<Vec<String>, GroupError> {
+    let dead = list()?.into_iter().filter(|g| !g.alive);
+    Ok(dead.filter_map(|g| Group::create(&g.name).ok().map(|group| group.name().to_owned())).collect())
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn unique(what: &str) -> String {
-        format!("test-{what}-{}", std::process::id())
-    }
-
-    #[test]
-    fn a_running_group_is_refused_a_second_time_and_gone_when_the_last_member_leaves() {
-        let name = unique("twice");
-        let group = Group::create(&name).unwrap();
-        assert!(matches!(Group::create(&name), Err(GroupError::Running(_))));
-        let member = Group::join(&name).unwrap();
-        let folder = runtime_folder().join(&name);
-        drop(group);
-        assert!(folder.exists(), "a member is still in it");
-        drop(member);
-        assert!(!folder.exists(), "the last one sweeps");
-        assert!(matches!(Group::join(&name), Err(GroupError::NotRunning { .. })));
-    }
-
-    #[test]
-    fn a_look_at_the_groups_neither_refuses_a_new_one_nor_keeps_a_last_member_from_sweeping() {
-        let done = std::sync::atomic::AtomicBool::new(false);
-        std::thread::scope(|scope| {
-            scope.spawn(|| {
-                while !done.load(std::sync::atomic::Ordering::Relaxed) {
-                    let _ = list();
-                }
-            });
-            let outcome = (0..200).find_map(|round| {
-                let name = unique(&format!("looked-{round}"));
-                let created = Group::create(&name).map(drop).err().map(|e| e.to_string());
-                created.or_else(|| runtime_folder().join(&name).exists().then(|| format!("{name} is still there")))
-            });
-            done.store(true, std::sync::atomic::Ordering::Relaxed);
-            assert_eq!(outcome, None);
-        });
-    }
-
-    #[test]
-    fn what_a_dead_group_left_is_swept_by_the_next_of_that_name() {
-        let name = unique("dead");
-        let folder = runtime_folder().join(&name);
-        let transport = PathBuf::from(format!("/dev/shm/{}t", prefix_of(&folder)));
-        fs::create_dir_all(transport.join("nodes")).unwrap();
-        fs::create_dir_all(&folder).unwrap();
-        fs::write(folder.join("alive"), "").unwrap();
-        let object = Path::new("/dev/shm").join(format!("{}left", prefix_of(&folder)));
-        fs::write(&object, "x").unwrap();
-        assert!(list().contains(&Found { name: name.clone(), alive: false }));
-        let group = Group::create(&name).unwrap();
-        assert!(!object.exists() && !transport.exists());
-        assert_eq!(group.transport_root(), transport);
-        drop(group);
-        assert!(!folder.exists());
-    }
-
-    #[test]
-    fn a_bad_name_is_refused() {
-        for name in ["", "a/b", "..", "a b", &"x".repeat(33)] {
-            assert!(matches!(Group::create(name), Err(GroupError::Name(_))), "{name}");
-        }
-    }
-}
+mod tests;

@@ -47,6 +47,7 @@ impl Node {
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<ipc::Service>()
             .map_err(|e| error(name, "joining", e))?;
+        group.close_objects();
         Ok(Self { node, group: name.to_owned() })
     }
 

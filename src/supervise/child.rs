@@ -1,6 +1,6 @@
 //! One child process: started, watched by descriptor, reaped, and never left behind.
 
-use std::fs::{self, File};
+use std::fs;
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::PathBuf;
 use std::process::ExitStatus;
@@ -45,8 +45,8 @@ impl Child {
     /// Starts `process`. To be called on the launcher's main thread: the kernel ends a child when the *thread* that
     /// started it does.
     pub(super) fn start(process: Process, group: &Group, restarts: u32) -> anyhow::Result<Self> {
-        let log = group.file(&format!("{}.log", process.file_stem()));
-        let file = File::options().create(true).append(true).open(&log).with_context(|| log.display().to_string())?;
+        let log = format!("{}.log", process.file_stem());
+        let (file, log) = (group.append(&log)?, group.file(&log));
         let mut command = process.command(group.name(), file).context("starting a process")?;
         let child = command.spawn().map_err(|e| match &process.exe {
             Some(exe) => Failure::usage(format!("{}: {} can't be started: {e}", process.name(), exe.display())).into(),

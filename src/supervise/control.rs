@@ -3,15 +3,18 @@
 //!
 //! The supervisor looks at it between its other looks, and never waits for a client longer than a moment.
 
-use std::fs::File;
+use std::fs::{File, Permissions};
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::os::fd::AsRawFd as _;
+use std::os::unix::fs::PermissionsExt as _;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use loopbound_shared::group::Group;
 use loopbound_shared::law::LawKind;
+use rustix::net::sockopt::socket_peercred;
+use rustix::process::geteuid;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -19,6 +22,8 @@ use serde_json::Value;
 pub const FILE: &str = "control";
 /// A client that has connected writes its line at once.
 const LINE_WITHIN: Duration = Duration::from_millis(200);
+/// A socket's path is shorter.
+const SOCKET_PATH_MAX: usize = 108;
 /// No request is longer.
 const LINE_MAX: u64 = 64 * 1024;
 
@@ -157,7 +162,10 @@ pub(super) struct Control {
 
 impl Control {
     pub(super) fn open(group: &Group) -> std::io::Result<Self> {
-        let listener = by_short_path(&group.file(FILE), UnixListener::bind)?;
+        let path = group.file(FILE);
+        let listener = by_short_path(&path, UnixListener::bind)?;
+        // Nobody else may enter the folder; nor could anybody else use the socket.
+        std::fs::set_permissions(&path, Permissions::from_mode(0o600))?;
         listener.set_nonblocking(true)?;
         Ok(Self { listener })
     }
@@ -165,10 +173,18 @@ impl Control {
     /// The next client that waits, with what it asks for.
     pub(super) fn accept(&self) -> Option<(Client, Result<Request, String>)> {
         let (stream, _) = self.listener.accept().ok()?;
+        if !may_command(&stream) {
+            return None;
+        }
         let line = read_line(&stream);
         let request = line.and_then(|line| Request::from_line(&line).map_err(|e| e.to_string()));
         Some((Client { stream }, request))
     }
+}
+
+/// Whether the one at the other end is this user, or root: a command can start a program.
+fn may_command(stream: &UnixStream) -> bool {
+    socket_peercred(stream).is_ok_and(|peer| peer.uid == geteuid() || peer.uid.is_root())
 }
 
 /// Somebody who waits for an answer.
@@ -209,8 +225,11 @@ pub fn connect(group: &str, request: &Request) -> anyhow::Result<Option<Answer>>
     Ok(serde_json::from_str(&line).ok())
 }
 
-/// A socket's path has room for 108 bytes, a folder's may be longer: it is named by its descriptor.
+/// A socket's path has room for 108 bytes, a folder's may be longer: then it is named by its descriptor.
 fn by_short_path<T>(path: &Path, act: impl FnOnce(PathBuf) -> std::io::Result<T>) -> std::io::Result<T> {
+    if path.as_os_str().len() < SOCKET_PATH_MAX {
+        return act(path.to_owned());
+    }
     let folder = File::open(path.parent().unwrap_or(Path::new("/")))?;
     act(PathBuf::from(format!("/proc/self/fd/{}/{FILE}", folder.as_raw_fd())))
 }

@@ -2,8 +2,6 @@
 //!
 //! The supervisor keeps it up to date by renaming a whole new file over the old one, so a reader never sees half.
 
-use std::path::PathBuf;
-
 use loopbound_shared::event::Acceptance;
 use loopbound_shared::group::Group;
 use loopbound_shared::sample::TickRecord;
@@ -41,21 +39,17 @@ pub struct Entry {
 }
 
 /// Writes the file when something has changed.
+#[derive(Default)]
 pub(super) struct RosterFile {
-    path: PathBuf,
     written: Roster,
 }
 
 impl RosterFile {
-    pub(super) fn new(group: &Group) -> Self {
-        Self { path: group.file(FILE), written: Roster::default() }
-    }
-
     /// A failure to write costs `ps` its view, never the group its run.
-    pub(super) fn update(&mut self, roster: Roster) {
+    pub(super) fn update(&mut self, group: &Group, roster: Roster) {
         if roster != self.written {
             let text = serde_json::to_string(&roster).unwrap_or_default();
-            if super::write_whole(&self.path, text.as_bytes()).is_ok() {
+            if group.write(FILE, text.as_bytes()).is_ok() {
                 self.written = roster;
             }
         }

@@ -7,8 +7,7 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use loopbound_shared::clock;
-use loopbound_shared::group::{Group, runtime_folder};
-use loopbound_shared::layout::{FNV_START, fnv1a};
+use loopbound_shared::group::{Group, object_prefix, runtime_folder};
 use loopbound_shared::ports::Node;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
@@ -17,7 +16,7 @@ use tempfile::TempDir;
 /// The longest that any wait may last, s: far beyond what a loaded machine takes, and short of a hang.
 pub(crate) const PATIENCE_S: u64 = 30;
 /// Who has no privileges at all.
-const NOBODY: u32 = 65534;
+pub(crate) const NOBODY: u32 = 65534;
 
 static TURN: Mutex<()> = Mutex::new(());
 
@@ -40,7 +39,7 @@ impl Case {
         let work = tempfile::tempdir().expect("a temporary folder");
         open_to_all(work.path());
         let group = format!("t{}-{what}", std::process::id());
-        Self { group, work, folder: runtime_folder(), user: None, _turn: turn }
+        Self { group, work, folder: default_folder(), user: None, _turn: turn }
     }
 
     /// The same, with a runtime folder that no other group is in.
@@ -59,6 +58,30 @@ impl Case {
             fs::copy(env!("CARGO_BIN_EXE_loopbound"), copy).expect("a copy of the executable");
         }
         case
+    }
+
+    /// The runtime folder of this case.
+    pub(crate) fn runtime_folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// The same command as a user without privileges; `None`, and a word of it, if this process may not become one.
+    pub(crate) fn command_of_a_stranger(&self, arguments: &[&str]) -> Option<Command> {
+        self.strangers_command_of(Path::new(env!("CARGO_BIN_EXE_loopbound")), arguments)
+    }
+
+    /// The same of another executable, which is copied to where that user may read it.
+    pub(crate) fn strangers_command_of(&self, executable: &Path, arguments: &[&str]) -> Option<Command> {
+        if !rustix::process::getuid().is_root() {
+            eprintln!("skipped: only root can come as another user");
+            return None;
+        }
+        let copy = self.work.path().join("strangers-copy");
+        fs::copy(executable, &copy).expect("a copy of the executable");
+        let mut command = Command::new(copy);
+        command.args(arguments).env("LOOPBOUND_RUNTIME_DIR", &self.folder).current_dir(self.work.path());
+        command.uid(NOBODY).gid(NOBODY);
+        Some(command)
     }
 
     /// Writes a file of the test's own.
@@ -117,7 +140,7 @@ impl Case {
 
     /// Joins the running group as a stranger would; it must be in the default runtime folder.
     pub(crate) fn join(&self) -> (Node, Group) {
-        assert_eq!(self.folder, runtime_folder(), "this process can only join groups of its own runtime folder");
+        assert_eq!(self.folder, default_folder(), "this process can only join groups of its own runtime folder");
         wait_until("the group is there", || self.group_folder().join("bell").exists());
         let group = Group::join(&self.group).expect("the group can be joined");
         (Node::open(&group).expect("a node in the group"), group)
@@ -132,7 +155,7 @@ impl Case {
     pub(crate) fn assert_nothing_left_of(&self, group: &str) {
         let folder = self.folder.join(group);
         assert!(!folder.exists(), "left behind: {}: {:?}", folder.display(), names(&folder));
-        let prefix = format!("lb{:016x}_", fnv1a(FNV_START, folder.as_os_str().as_encoded_bytes()));
+        let prefix = object_prefix(&folder);
         let objects: Vec<String> =
             names(Path::new("/dev/shm")).into_iter().filter(|name| name.starts_with(&prefix)).collect();
         assert!(objects.is_empty(), "left in shared memory: {objects:?}");
@@ -144,10 +167,14 @@ impl Case {
     pub(crate) fn assert_nothing_left(&self) {
         wait_until("all processes have ended", || processes_that_mention(&self.group).is_empty());
         self.assert_nothing_left_of(&self.group);
-        if self.folder != runtime_folder() {
+        if self.folder != default_folder() {
             assert!(!self.folder.exists(), "left behind: {:?}", names(&self.folder));
         }
     }
+}
+
+fn default_folder() -> PathBuf {
+    runtime_folder().expect("a valid runtime directory")
 }
 
 fn open_to_all(folder: &Path) {

@@ -20,4 +20,5 @@ mod stopped;
 mod strangers;
 mod studies;
 mod usage;
+mod users;
 mod verdicts;

@@ -11,7 +11,7 @@ use std::process::{Child, Command, Stdio};
 use loopbound_monitor::hops::Hops;
 use loopbound_monitor::{Summary, log};
 use loopbound_shared::clock;
-use loopbound_shared::group::runtime_folder;
+use loopbound_shared::group::file_of;
 use loopbound_shared::realtime::{ProcessHandle, Signal, Step};
 use loopbound_shared::scenario::{Nanos, Scenario};
 use thiserror::Error;
@@ -106,7 +106,7 @@ impl Runner<'_> {
     fn watch(&self, file: &Path, out: &Path, run_ns: u64) -> Result<(Option<i32>, String, CpuUse), RunError> {
         let said = self.folder.join("said.txt");
         let group = format!("study-load-{}", std::process::id());
-        let roster = runtime_folder().join(&group).join(ROSTER_FILE);
+        let roster = file_of(&group, ROSTER_FILE).map_err(|e| RunError::Failed(e.to_string()))?;
         let mut command = Command::new(std::env::current_exe()?);
         command.arg("run").arg(file).arg("--out").arg(out).args(["--quiet", "--group", &group]);
         // A terminal's Ctrl-C reaches the study alone, which then ends the run.
