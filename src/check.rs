@@ -108,11 +108,7 @@ pub fn compare(args: &CompareArgs) -> anyhow::Result<Exit> {
 /// The code that belongs to a verdict.
 #[must_use]
 pub fn exit_of(verdict: &Verdict) -> Exit {
-    match verdict.status.as_str() {
-        "violated" | "failed" => Exit::Failed,
-        "inconclusive" | "no data" => Exit::Inconclusive,
-        _ => Exit::Held,
-    }
+    verdict.headline().into()
 }
 
 /// Writes the verdict for a build server.

@@ -1,8 +1,10 @@
-//! One exit code for each class of outcome, so that scripts need not read the text.
+//! One exit code for each class of outcome, so that scripts need not read the text; the codes are those of the table of
+//! headlines.
 
 use std::process::ExitCode;
 
 use loopbound_shared::group::GroupError;
+use loopbound_shared::headline::Headline;
 use loopbound_shared::role::RoleError;
 use loopbound_shared::scenario::ScenarioError;
 
@@ -11,23 +13,39 @@ use loopbound_shared::scenario::ScenarioError;
 #[repr(u8)]
 pub enum Exit {
     /// Everything held.
-    Held = 0,
-    /// An expectation failed, or the bound was violated other than by latency.
-    Failed = 1,
+    Held = Headline::Held.exit_code(),
+    /// An expectation failed, the bound was violated other than by latency, or the loop diverged.
+    Failed = Headline::Failed.exit_code(),
     /// The command line or the scenario is wrong; nothing was started.
-    Usage = 2,
+    Usage = Headline::Usage.exit_code(),
     /// The run was too short to tell.
-    Inconclusive = 3,
+    Inconclusive = Headline::Inconclusive.exit_code(),
     /// A swap was refused or rolled back, or a fault was refused.
-    SwapRefused = 4,
-    /// A role died and was not recovered.
-    RoleDied = 5,
+    SwapRefused = Headline::SwapRefused.exit_code(),
+    /// A role died and was not recovered, or the run is incomplete.
+    RoleDied = Headline::RoleLost.exit_code(),
     /// A fault of loopbound's own, or of the system under it.
-    Internal = 70,
+    Internal = Headline::Internal.exit_code(),
     /// Ctrl-C.
-    Interrupted = 130,
+    Interrupted = Headline::Interrupted.exit_code(),
     /// SIGTERM or SIGHUP.
-    Terminated = 143,
+    Terminated = Headline::Terminated.exit_code(),
+}
+
+impl From<Headline> for Exit {
+    fn from(headline: Headline) -> Self {
+        match headline {
+            Headline::Usage => Self::Usage,
+            Headline::Interrupted => Self::Interrupted,
+            Headline::Terminated => Self::Terminated,
+            Headline::Internal => Self::Internal,
+            Headline::Diverged | Headline::Failed | Headline::Violated => Self::Failed,
+            Headline::RoleLost | Headline::Incomplete => Self::RoleDied,
+            Headline::SwapRefused => Self::SwapRefused,
+            Headline::NoData | Headline::Inconclusive | Headline::NotChecked => Self::Inconclusive,
+            Headline::Late | Headline::NotCertified | Headline::Passed | Headline::Held => Self::Held,
+        }
+    }
 }
 
 impl Exit {
@@ -90,6 +108,13 @@ impl std::error::Error for Failure {}
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn every_headline_ends_with_the_code_of_its_table() {
+        for headline in Headline::ALL {
+            assert_eq!(Exit::from(headline).code(), headline.exit_code(), "{headline}");
+        }
+    }
 
     #[test]
     fn a_running_group_is_the_users_error_and_a_full_disc_is_not() {

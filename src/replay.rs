@@ -16,6 +16,7 @@ use loopbound_monitor::verdict::expectations::judge;
 use loopbound_monitor::verdict::judge_summary;
 use loopbound_monitor::{Config, Summary, Tracker};
 use loopbound_shared::event::Role;
+use loopbound_shared::headline::Headline;
 use loopbound_shared::law::LawKind;
 use loopbound_shared::sample::{Announce, SEGMENTS_MAX, TickRecord};
 use loopbound_shared::scenario::Scenario;
@@ -272,8 +273,9 @@ fn exit_of(report: &Report) -> Exit {
     if report.differences > 0 {
         return Exit::Failed;
     }
-    if report.what_if && matches!(report.verdict.as_str(), "violated" | "failed") {
-        return Exit::Failed;
+    let headline = Headline::of_word(&report.verdict).unwrap_or(Headline::Inconclusive);
+    if report.what_if && headline.is_bad() {
+        return headline.into();
     }
     if report.is_whole() { Exit::Held } else { Exit::Inconclusive }
 }

@@ -1,11 +1,14 @@
-//! The documents say what the tree says: the code map of ARCHITECTURE.md, and the keys of docs/scenario.md.
+//! The documents say what the tree says: the code map of ARCHITECTURE.md, the keys of docs/scenario.md, and the headlines of
+//! docs/exit-codes.md.
 //!
 //! The map is made of the files' own first sentences. After a change, `UPDATE_DOCUMENTS=1 cargo test --test documents`
-//! writes it anew.
+//! writes it and the table of headlines anew.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+
+use loopbound_shared::headline::Headline;
 
 const CRATES: [&str; 6] = ["shared/src", "plant/src", "controller/src", "reference/src", "monitor/src", "src"];
 
@@ -83,6 +86,28 @@ fn the_code_map_lists_every_file_with_its_own_first_sentence() {
     } else {
         assert!(written == right, "the code map is out of date: UPDATE_DOCUMENTS=1 cargo test --test documents");
     }
+}
+
+#[test]
+fn the_document_of_exit_codes_holds_the_table_that_the_code_is_made_from() {
+    let file = root().join("docs/exit-codes.md");
+    let written = read(&file);
+    let mut table = String::from("| headline | exit code | meaning |\n|---|---|---|\n");
+    for headline in Headline::ALL {
+        let (word, code, sentence) = (headline.screen_word(), headline.exit_code(), headline.sentence());
+        writeln!(table, "| {word} | {code} | {sentence} |").expect("a string takes all");
+    }
+    let begin = "<!-- headlines -->\n";
+    let from = written.find(begin).expect("the table begins") + begin.len();
+    let to = from + written[from..].find("<!-- end of headlines -->").expect("the table ends");
+    let mut right = written.clone();
+    right.replace_range(from..to, &table);
+    if std::env::var_os("UPDATE_DOCUMENTS").is_some() {
+        std::fs::write(&file, &right).expect("it can be written");
+    } else {
+        assert!(written == right, "docs/exit-codes.md is out of date: UPDATE_DOCUMENTS=1 cargo test --test documents");
+    }
+    assert!(read(&root().join("README.md")).contains("(docs/exit-codes.md)"), "README links the table");
 }
 
 /// Keys with their default (`None`: derived, or none), by section.

@@ -66,9 +66,9 @@ const LABEL: usize = 18;
 
 fn headline(screen: &mut Screen, summary: &Summary) {
     let status = summary.verdict.status.to_uppercase();
-    let paint = match summary.verdict.status.as_str() {
-        "held" | "passed" => "1;32",
-        "violated" | "failed" => "1;31",
+    let paint = match summary.verdict.headline() {
+        headline if headline.is_good() => "1;32",
+        headline if headline.is_bad() => "1;31",
         _ => "1;33",
     };
     let rate = summary.rate_hz.map_or_else(|| "?".to_owned(), hertz);

@@ -9,6 +9,7 @@ use std::fs;
 use std::io::{self, BufRead as _, BufReader};
 use std::path::Path;
 
+use loopbound_shared::headline::Headline;
 use loopbound_shared::sample::{Links, TickRecord};
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -29,6 +30,8 @@ pub struct Run {
     pub name: String,
     /// `summary.json`.
     pub summary: Value,
+    /// How the page shows the verdict: `good`, `warn` or `bad`.
+    pub mood: &'static str,
     /// Lines of `events.jsonl`.
     pub events: Vec<Value>,
     /// Lines beyond what a page shows.
@@ -61,6 +64,7 @@ pub fn read_run(folder: &Path) -> io::Result<Run> {
     let name = folder.canonicalize().ok().and_then(|path| Some(path.file_name()?.to_string_lossy().into_owned()));
     Ok(Run {
         name: name.unwrap_or_else(|| folder.display().to_string()),
+        mood: mood(&summary),
         summary,
         events,
         events_left_out,
@@ -68,6 +72,15 @@ pub fn read_run(folder: &Path) -> io::Result<Run> {
         recording,
         percentiles: percentiles.into(),
     })
+}
+
+/// By the headline of the verdict; a word of another version decides nothing.
+fn mood(summary: &Value) -> &'static str {
+    match summary["verdict"]["status"].as_str().and_then(Headline::of_word) {
+        Some(headline) if headline.is_good() => "good",
+        Some(headline) if headline.is_bad() => "bad",
+        _ => "warn",
+    }
 }
 
 fn read_events(path: &Path) -> io::Result<(Vec<Value>, u64)> {
@@ -151,6 +164,7 @@ mod tests {
         Run {
             name: name.into(),
             summary: json!({"verdict": {"status": "held", "reasons": ["</script><b>"]}}),
+            mood: "good",
             events: Vec::new(),
             events_left_out: 0,
             series: Decimated::new(5),

@@ -5,6 +5,7 @@
 
 use std::collections::BTreeMap;
 
+use loopbound_shared::headline::Headline;
 use loopbound_shared::realtime::Privileges;
 use loopbound_shared::sample::Counters;
 use serde::{Deserialize, Serialize};
@@ -331,12 +332,26 @@ pub struct Dropped {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Verdict {
-    /// `held`, `violated`, `late`, `not certified`, `no data`; with expectations `passed`, `failed`, `inconclusive`.
+    /// The word of its [`Headline`].
     pub status: String,
     /// One sentence each.
     pub reasons: Vec<String>,
     /// Each expectation with what was found.
     pub expectations: Vec<Judgement>,
+}
+
+impl Verdict {
+    /// A verdict of one headline.
+    #[must_use]
+    pub fn of(headline: Headline, reasons: Vec<String>) -> Self {
+        Self { status: headline.word().to_owned(), reasons, expectations: Vec::new() }
+    }
+
+    /// Its headline. A word that this version does not know decides nothing.
+    #[must_use]
+    pub fn headline(&self) -> Headline {
+        Headline::of_word(&self.status).unwrap_or(Headline::Inconclusive)
+    }
 }
 
 /// One expectation, judged.

@@ -17,6 +17,7 @@ pub mod reports;
 use std::path::Path;
 
 use loopbound_shared::group::{Group, GroupError};
+use loopbound_shared::headline::Headline;
 use serde::{Deserialize, Serialize};
 
 use crate::cause::words_of;
@@ -51,45 +52,51 @@ impl Interim {
     }
 }
 
-/// The verdict, the gravest finding first.
+/// The verdict of the figures alone: the headline that counts first, and every reason.
 #[must_use]
 pub fn judge_summary(summary: &Summary) -> Verdict {
+    let found = findings(summary);
+    let headline = Headline::first_of(found.iter().map(|(headline, _)| *headline)).unwrap_or(Headline::Held);
+    Verdict::of(headline, found.into_iter().map(|(_, reason)| reason).collect())
+}
+
+/// All that is to be said of the figures, each with the headline that it makes.
+fn findings(summary: &Summary) -> Vec<(Headline, String)> {
     let bound = &summary.bound;
-    let mut reasons = Vec::new();
-    let mut status = "held";
-    let mut find = |found: bool, word: &'static str, reason: String| {
-        if found {
-            if status == "held" {
-                status = word;
-            }
-            reasons.push(reason);
+    let mut found = Vec::new();
+    let mut find = |holds: bool, headline, reason: String| {
+        if holds {
+            found.push((headline, reason));
         }
     };
-    find(summary.ticks_seen == 0, "no data", "no tick was seen".to_owned());
+    find(summary.ticks_seen == 0, Headline::NoData, "no tick was seen".to_owned());
     find(
         bound.violations_delay_aware > 0,
-        "violated",
+        Headline::Violated,
         format!("{} ticks broke the bound for another reason than latency", bound.violations_delay_aware),
     );
     let by_latency = bound.verdicts("latency");
-    find(by_latency > 0, "late", format!("{by_latency} ticks broke the bound, and latency suffices as the cause"));
+    let reason = format!("{by_latency} ticks broke the bound, and latency suffices as the cause");
+    find(by_latency > 0, Headline::Late, reason);
     let braked = bound.verdicts("fallback");
     let why = words_of(&bound.fallback_by_cause);
     find(
         braked > 0,
-        "late",
+        Headline::Late,
         format!("{braked} ticks broke the bound under the plant's own fallback, as no torque came: {why}"),
     );
-    find(bound.budget_used.is_some_and(|used| used >= 1.0), "late", "the latency budget [11] is used up".to_owned());
+    let used_up = bound.budget_used.is_some_and(|used| used >= 1.0);
+    find(used_up, Headline::Late, "the latency budget [11] is used up".to_owned());
     let uncertified = summary.ticks_seen > 0 && !bound.certified;
-    find(uncertified, "not certified", "nothing is certified for this law, gains and start".to_owned());
+    let reason = "nothing is certified for this law, gains and start".to_owned();
+    find(uncertified, Headline::NotCertified, reason);
     for shortfall in bound.shortfalls.iter().filter(|_| uncertified) {
-        find(true, "not certified", shortfall.clone());
+        find(true, Headline::NotCertified, shortfall.clone());
     }
     find(
         bound.certified && bound.checked == 0 && summary.ticks_seen > 0,
-        "not checked",
+        Headline::NotChecked,
         "the law is certified, and no tick could be checked".to_owned(),
     );
-    Verdict { status: status.to_owned(), reasons, expectations: Vec::new() }
+    found
 }

@@ -11,6 +11,7 @@ pub mod doorbell;
 pub mod event;
 pub mod fault;
 pub mod group;
+pub mod headline;
 pub mod integrator;
 pub mod law;
 pub mod layout;

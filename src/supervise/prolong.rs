@@ -3,6 +3,7 @@
 
 use loopbound_monitor::verdict::Interim;
 use loopbound_shared::event::CommandKind;
+use loopbound_shared::headline::Headline;
 use loopbound_shared::sample::Command;
 
 use super::Supervisor;
@@ -16,7 +17,7 @@ const STEP_NS: u64 = 1_000_000_000;
 fn prolonged(tick: u64, stop: u64, most: u64, period_ns: u64, interim: Option<&Interim>) -> Option<u64> {
     let near = tick.saturating_add(AHEAD_NS / period_ns + 1) >= stop;
     // No verdict yet means no block yet: the run was shorter than one.
-    let open = interim.is_none_or(|interim| matches!(interim.status.as_str(), "inconclusive" | "no data"));
+    let open = interim.is_none_or(|interim| Headline::of_word(&interim.status).is_some_and(Headline::is_open));
     (near && open && stop < most).then(|| stop.saturating_add(STEP_NS.div_ceil(period_ns)).min(most))
 }
 

@@ -221,8 +221,7 @@ function describe(event) {
 
 // The parts of a page, each drawn for every run in a row of its own, so that two runs stay side by side.
 function head(run, at) {
-  const s = run.summary, status = s.verdict?.status ?? 'no data';
-  const mood = /held|passed|within/.test(status) ? 'good' : /violated|failed/.test(status) ? 'bad' : 'warn';
+  const s = run.summary, status = s.verdict?.status ?? 'no data', mood = run.mood;
   add(at, `<div class="verdict"><span class="badge ${mood}">${esc(status)}</span><div><h1>${esc(run.name)}</h1><span class="note">${esc(s.written ?? '')} · ${esc(s.mode ?? '')} · ${esc(s.bound?.law ?? 'no known law')} · loopbound ${esc(s.version ?? '')}</span></div></div>`);
   const reasons = s.verdict?.reasons ?? [];
   add(at, reasons.length ? `<ul class="reasons">${reasons.map(r => `<li>${esc(r)}</li>`).join('')}</ul>` : '<p class="note">Every expectation held, and the bound was kept. Missed and late ticks are counted below, with their causes.</p>');

@@ -6,6 +6,7 @@
 //! floor divides its part between the quantile and the floor's. Every other key is what it is, and is compared directly;
 //! so are all keys in lockstep, where a latency is what the scenario says and not a sample.
 
+use loopbound_shared::headline::Headline;
 use loopbound_shared::scenario::{Budget, Comparator, ExpectSection, Expectation};
 use serde_json::Value;
 
@@ -78,23 +79,25 @@ pub fn judge(section: &ExpectSection, summary: &Summary, blocks: &Blocks, natura
     };
     let expectations: Vec<Judgement> = section.conditions.iter().map(one).collect();
     let any = |finding| expectations.iter().any(|judgement| judgement.outcome == finding);
-    // What breaks the stability proof fails whatever was expected.
-    let status = match () {
-        () if any(Finding::Fail) => "failed",
-        () if natural.status == "violated" => "violated",
-        () if any(Finding::Inconclusive) || natural.status == "no data" => "inconclusive",
-        () => "passed",
+    // What breaks the stability proof fails whatever was expected, and what was not looked at passes nothing.
+    let of_itself = match natural.headline() {
+        Headline::Late | Headline::NotCertified | Headline::Held => Headline::Passed,
+        Headline::NoData | Headline::NotChecked => Headline::Inconclusive,
+        graver => graver,
     };
+    let of_expectations =
+        [any(Finding::Fail).then_some(Headline::Failed), any(Finding::Inconclusive).then_some(Headline::Inconclusive)];
+    let headline = of_expectations.into_iter().flatten().fold(of_itself, Headline::min);
     let mut reasons: Vec<String> =
         expectations.iter().filter(|j| j.outcome != Finding::Pass).map(|j| j.reason.clone()).collect();
     reasons.extend(natural.reasons);
-    Verdict { status: status.to_owned(), reasons, expectations }
+    Verdict { expectations, ..Verdict::of(headline, reasons) }
 }
 
 /// Whether more data could change the verdict: something is undecided and nothing has failed.
 #[must_use]
 pub fn is_undecided(verdict: &Verdict) -> bool {
-    verdict.status == "inconclusive"
+    verdict.headline() == Headline::Inconclusive
 }
 
 fn by_limits(expectation: &Expectation, (hop, quantile): (Hop, f64), blocks: &Blocks, alpha: f64) -> Judgement {
@@ -227,7 +230,7 @@ mod tests {
         let mut summary = Summary { missed_ticks: 3, ticks: 1000, ..Summary::default() };
         summary.bound.certified = true;
         summary.tracking.rms_e_rad = Some(0.01);
-        judge(&section, &summary, blocks, Verdict { status: "held".to_owned(), ..Verdict::default() })
+        judge(&section, &summary, blocks, Verdict::of(Headline::Held, Vec::new()))
     }
 
     fn status(toml: &str, blocks: &Blocks) -> String {
@@ -269,7 +272,7 @@ mod tests {
         let both = "'round_trip.p99' = '<= 30us'\nmissed_ticks = 0";
         assert_eq!(status(both, &run(1, 10)), "failed");
         let section = ExpectSection::from_toml("missed_ticks = 0", "test").unwrap();
-        let violated = Verdict { status: "violated".to_owned(), ..Verdict::default() };
+        let violated = Verdict::of(Headline::Violated, Vec::new());
         let verdict = judge(&section, &Summary::default(), &Blocks::new(1), violated);
         assert_eq!(verdict.status, "violated");
     }

@@ -2,6 +2,8 @@
 
 use std::fmt::Write as _;
 
+use loopbound_shared::headline::Headline;
+
 use super::expectations::time;
 use crate::summary::{Finding, Summary, Verdict};
 
@@ -20,44 +22,53 @@ pub fn table(verdict: &Verdict) -> String {
     text
 }
 
-/// One test case an expectation; an inconclusive one is skipped, which is neither success nor failure.
+/// One test case an expectation; an inconclusive one is skipped, which is neither success nor failure. What fails besides
+/// all expectations, and a run of which nothing was expected, is a case of its own.
 #[must_use]
 pub fn junit(summary: &Summary) -> String {
-    let all = &summary.verdict.expectations;
-    let count = |finding| all.iter().filter(|judgement| judgement.outcome == finding).count();
-    let mut text = String::from("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n");
+    let verdict = &summary.verdict;
+    let mut cases: Vec<(&str, Finding, &str)> =
+        verdict.expectations.iter().map(|j| (j.expectation.as_str(), j.outcome, j.reason.as_str())).collect();
+    let why = verdict.reasons.join("; ");
+    cases.extend(case_of_the_run(verdict).map(|(name, outcome)| (name, outcome, why.as_str())));
+    let count = |finding| cases.iter().filter(|(_, outcome, _)| *outcome == finding).count();
     let (failures, skipped) = (count(Finding::Fail), count(Finding::Inconclusive));
-    let violated = usize::from(all.is_empty() || summary.verdict.status == "violated");
-    let natural_failures = usize::from(violated > 0 && summary.verdict.status == "violated");
+    let mut text = String::from("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n");
     let _ = writeln!(
         text,
-        "<testsuite name=\"loopbound\" tests=\"{}\" failures=\"{}\" skipped=\"{skipped}\" errors=\"0\" time=\"{:.3}\">",
-        all.len() + violated,
-        failures + natural_failures,
+        "<testsuite name=\"loopbound\" tests=\"{}\" failures=\"{failures}\" skipped=\"{skipped}\" errors=\"0\" time=\"{:.3}\">",
+        cases.len(),
         summary.duration_s,
     );
-    for judgement in all {
-        let name = escape(&judgement.expectation);
-        let reason = escape(&judgement.reason);
-        let _ = match judgement.outcome {
-            Finding::Pass => writeln!(text, "  <testcase classname=\"loopbound\" name=\"{name}\"/>"),
-            Finding::Fail => writeln!(
-                text,
-                "  <testcase classname=\"loopbound\" name=\"{name}\"><failure message=\"{reason}\"/></testcase>"
-            ),
-            Finding::Inconclusive => writeln!(
-                text,
-                "  <testcase classname=\"loopbound\" name=\"{name}\"><skipped message=\"{reason}\"/></testcase>"
-            ),
+    for (name, outcome, reason) in cases {
+        let (name, reason) = (escape(name), escape(reason));
+        let inner = match outcome {
+            Finding::Pass => String::new(),
+            Finding::Fail => format!("<failure message=\"{reason}\"/>"),
+            Finding::Inconclusive => format!("<skipped message=\"{reason}\"/>"),
         };
-    }
-    if violated > 0 {
-        let why = escape(&summary.verdict.reasons.join("; "));
-        let inner = if natural_failures > 0 { format!("<failure message=\"{why}\"/>") } else { String::new() };
-        let _ = writeln!(text, "  <testcase classname=\"loopbound\" name=\"the bound holds\">{inner}</testcase>");
+        let _ = writeln!(text, "  <testcase classname=\"loopbound\" name=\"{name}\">{inner}</testcase>");
     }
     text.push_str("</testsuite>\n");
     text
+}
+
+/// What is said of the run as a whole: always without expectations, else where it fails though they may all hold.
+fn case_of_the_run(verdict: &Verdict) -> Option<(&'static str, Finding)> {
+    let headline = verdict.headline();
+    let name = match headline {
+        Headline::Diverged => "the loop does not diverge",
+        Headline::RoleLost | Headline::Incomplete | Headline::Internal => "the run is complete",
+        _ => "the bound holds",
+    };
+    let outcome = match headline {
+        Headline::Failed => return None,
+        headline if headline.is_bad() => Finding::Fail,
+        _ if !verdict.expectations.is_empty() => return None,
+        headline if headline.is_open() => Finding::Inconclusive,
+        _ => Finding::Pass,
+    };
+    Some((name, outcome))
 }
 
 /// Lines that a build of GitHub's shows beside its steps.
@@ -129,6 +140,30 @@ mod tests {
         summary.verdict.reasons = vec!["2 ticks broke the bound".to_owned()];
         let text = junit(&summary);
         assert!(text.contains("tests=\"1\" failures=\"1\"") && text.contains("2 ticks broke"), "{text}");
+    }
+
+    #[test]
+    fn a_run_that_fails_as_a_whole_fails_a_case_though_every_expectation_holds() {
+        let mut summary = summary();
+        summary.verdict.expectations.truncate(1);
+        for (headline, name) in [
+            (Headline::Diverged, "the loop does not diverge"),
+            (Headline::Incomplete, "the run is complete"),
+            (Headline::RoleLost, "the run is complete"),
+        ] {
+            summary.verdict.status = headline.word().to_owned();
+            let text = junit(&summary);
+            assert!(text.contains("tests=\"2\" failures=\"1\"") && text.contains(name), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_run_without_data_and_without_expectations_is_skipped_and_does_not_pass() {
+        let mut summary = Summary::default();
+        summary.verdict.status = Headline::NoData.word().to_owned();
+        assert!(junit(&summary).contains("tests=\"1\" failures=\"0\" skipped=\"1\""));
+        summary.verdict.status = Headline::Held.word().to_owned();
+        assert!(junit(&summary).contains("tests=\"1\" failures=\"0\" skipped=\"0\""));
     }
 
     #[test]
