@@ -6,6 +6,7 @@
 
 mod fold;
 mod harness;
+mod untested;
 
 mod attached;
 mod deaths;

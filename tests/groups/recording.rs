@@ -6,6 +6,7 @@ use std::process::Command;
 use serde_json::Value;
 
 use crate::harness::Case;
+use crate::untested::not_tested;
 
 /// A swap with a cross-fade, a standby, faults, noise: all that a torque can come from.
 const SCENARIO: &str = "
@@ -108,10 +109,10 @@ fn read_by_python(modules: &str, script: &str, out: &Path) {
     let python = std::env::var("LOOPBOUND_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let has = Command::new(&python).args(["-c", &format!("import {modules}")]).output();
     if !has.is_ok_and(|output| output.status.success()) {
-        eprintln!("skipped: {python} has no {modules}");
-        return;
+        let needs = format!("{python} has no {modules}; tests/readers/requirements.txt names the packages");
+        return not_tested(script, &needs);
     }
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests").join(script);
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/readers").join(script);
     let read = Command::new(&python).arg(script).arg(out).output().expect("Python starts");
     assert!(read.status.success(), "{}", String::from_utf8_lossy(&read.stderr));
 }
