@@ -24,6 +24,7 @@ use loopbound_shared::group::Group;
 use loopbound_shared::ports::Node;
 use loopbound_shared::realtime::{ProcessHandle, Signal, set_priority};
 use loopbound_shared::sample::{Announce, TickRecord};
+use loopbound_shared::say;
 use loopbound_shared::topics::Topic as _;
 use serde_json::Value;
 
@@ -63,7 +64,7 @@ fn burst(ns: u64) -> anyhow::Result<()> {
         struck.push((from_ns, clock::now_ns()));
         clock::sleep_until_ns(clock::now_ns() + 9_100_000);
     }
-    struck.iter().for_each(|(from_ns, to_ns)| println!("{from_ns} {to_ns}"));
+    struck.iter().for_each(|(from_ns, to_ns)| say::out!("{from_ns} {to_ns}"));
     Ok(())
 }
 
@@ -268,12 +269,12 @@ fn main() -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)?;
     let mut not_struck = Vec::new();
     let head: Vec<&str> = Cause::ALL.iter().map(|cause| cause.name()).collect();
-    println!("| injected | ticks | right | by chance | {} |", head.join(" | "));
-    println!("|---|---|---|---|{}", "---|".repeat(head.len()));
+    say::out!("| injected | ticks | right | by chance | {} |", head.join(" | "));
+    say::out!("|---|---|---|---|{}", "---|".repeat(head.len()));
     let row = |name: &str, right: &str, counts: &BTreeMap<String, u64>| {
         let cells: Vec<String> =
             head.iter().map(|cause| counts.get(*cause).map_or_else(String::new, u64::to_string)).collect();
-        println!("| {name} | {} | {right} | {} |", counts.values().sum::<u64>(), cells.join(" | "));
+        say::out!("| {name} | {} | {right} | {} |", counts.values().sum::<u64>(), cells.join(" | "));
     };
     for (case, (name, right)) in CASES.iter().enumerate() {
         let Outcome { struck, others, by_chance } = run(case, &executable, folder)?;

@@ -14,6 +14,7 @@ use loopbound::check::read_blocks;
 use loopbound_monitor::verdict::blocks::Blocks;
 use loopbound_monitor::verdict::comparison::compare;
 use loopbound_shared::clock;
+use loopbound_shared::say;
 
 const PERIOD_NS: u64 = 1_000_000;
 const RUN_S: u64 = 4;
@@ -79,15 +80,18 @@ fn main() -> anyhow::Result<()> {
         }
     }
     std::fs::remove_dir_all(&out)?;
-    println!("{rounds} rounds of {RUN_S} s each, 1 kHz; ratio to no attached monitor, 95 %");
+    say::out!("{rounds} rounds of {RUN_S} s each, 1 kHz; ratio to no attached monitor, 95 %");
     for (case, blocks) in all.iter().enumerate().skip(1) {
         for ratio in compare(&all[0], blocks) {
             let wanted = ratio.hop == "round_trip" || ratio.hop == "deadline_to_torque";
             if wanted && (ratio.quantile == "p50" || ratio.quantile == "p99") {
                 let (lower, upper) = (ratio.lower.unwrap_or(f64::NAN), ratio.upper.unwrap_or(f64::NAN));
-                println!(
+                say::out!(
                     "{:<22}{:<20}{:<6}{:.3}  {lower:.3} to {upper:.3}",
-                    CASES[case].0, ratio.hop, ratio.quantile, ratio.ratio
+                    CASES[case].0,
+                    ratio.hop,
+                    ratio.quantile,
+                    ratio.ratio
                 );
             }
         }

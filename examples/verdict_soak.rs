@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 use loopbound::background::{Background, Rhythm, Work};
+use loopbound_shared::say;
 use serde_json::Value;
 
 /// What every run is judged by. The two regressions are far beyond these, and no load of ordinary priority is.
@@ -57,7 +58,7 @@ fn run(executable: &Path, scenario: &Path, counts: &mut Counts, unexpected: Opti
     }
     if code == unexpected {
         let summary: Value = serde_json::from_slice(&output.stdout).unwrap_or_default();
-        println!("  unexpected: {}", summary["verdict"]["reasons"]);
+        say::out!("  unexpected: {}", summary["verdict"]["reasons"]);
     }
     Ok(())
 }
@@ -82,7 +83,9 @@ fn batch(
         std::fs::remove_file(&path)?;
     }
     let Counts { pass, fail, inconclusive, other } = counts;
-    println!("{name:<28}{runs:>6} runs: {pass:>4} pass {fail:>4} fail {inconclusive:>4} inconclusive {other:>4} other");
+    say::out!(
+        "{name:<28}{runs:>6} runs: {pass:>4} pass {fail:>4} fail {inconclusive:>4} inconclusive {other:>4} other"
+    );
     Ok(counts)
 }
 
@@ -106,6 +109,6 @@ fn main() -> std::io::Result<ExitCode> {
     // One in fifty may stay undecided.
     let found = |counts: &Counts| counts.pass == 0 && counts.fail >= regressions - regressions.div_ceil(50);
     let right = unchanged.fail == 0 && found(&slower) && found(&spiky);
-    println!("{}", if right { "as it must be" } else { "NOT as it must be" });
+    say::out!("{}", if right { "as it must be" } else { "NOT as it must be" });
     Ok(if right { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }

@@ -8,6 +8,7 @@ use std::io::Write as _;
 
 use clap::Args;
 use loopbound_shared::bound::certificate::{Certificate, Certification};
+use loopbound_shared::say;
 use loopbound_shared::scenario::{Scenario, ScenarioError, parse_duration};
 use loopbound_shared::system;
 use loopbound_shared::with_links;
@@ -41,7 +42,7 @@ pub fn run(args: &BoundArgs) -> anyhow::Result<Exit> {
     let latency_s = latency_ns as f64 * 1e-9;
     let (certification, sampling) =
         with_links!(scenario.links(), examine::<N>(&scenario, latency_s)).map_err(|e| Failure::usage(e.to_string()))?;
-    let mut out = std::io::stdout().lock();
+    let mut out = say::stdout();
     if args.json {
         writeln!(out, "{}", to_json(&scenario, &certification, &sampling))?;
     } else {

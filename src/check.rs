@@ -9,6 +9,7 @@ use loopbound_monitor::Summary;
 use loopbound_monitor::summary::Verdict;
 use loopbound_monitor::verdict::blocks::{self, Blocks};
 use loopbound_monitor::verdict::{comparison, expectations, judge_summary, reports};
+use loopbound_shared::say;
 use loopbound_shared::scenario::{ExpectSection, Scenario};
 
 use crate::exit::{Exit, Failure};
@@ -79,7 +80,7 @@ pub fn check(args: &CheckArgs) -> anyhow::Result<Exit> {
     if let Some(path) = &args.junit {
         write_junit(path, &summary)?;
     }
-    let mut out = std::io::stdout().lock();
+    let mut out = say::stdout();
     if args.json {
         writeln!(out, "{}", serde_json::to_string_pretty(&summary.verdict)?)?;
     } else {
@@ -96,7 +97,7 @@ pub fn check(args: &CheckArgs) -> anyhow::Result<Exit> {
 /// If their blocks can't be read.
 pub fn compare(args: &CompareArgs) -> anyhow::Result<Exit> {
     let ratios = comparison::compare(&read_blocks(&args.a)?, &read_blocks(&args.b)?);
-    let mut out = std::io::stdout().lock();
+    let mut out = say::stdout();
     if args.json {
         writeln!(out, "{}", serde_json::to_string_pretty(&ratios)?)?;
     } else {
@@ -130,6 +131,6 @@ pub fn print_table(out: &mut impl Write, verdict: &Verdict) -> std::io::Result<(
 /// On a build host of GitHub's, which reads standard error too: standard output may hold a document.
 pub fn annotate(verdict: &Verdict) {
     if std::env::var_os("GITHUB_ACTIONS").is_some_and(|value| value == "true") {
-        eprint!("{}", reports::annotations(verdict));
+        reports::annotations(verdict).lines().for_each(|line| say::err!("{line}"));
     }
 }

@@ -3,16 +3,17 @@
 use std::io::Write as _;
 
 use loopbound_shared::group;
+use loopbound_shared::say;
 
 use crate::exit::Exit;
 
 /// Sweeps every dead group of this user and names them.
 ///
 /// # Errors
-/// If standard output can't be written.
+/// If the runtime directory is not this user's own.
 pub fn run() -> anyhow::Result<Exit> {
     let swept = group::clean()?;
-    let mut out = std::io::stdout().lock();
+    let mut out = say::stdout();
     if swept.is_empty() {
         writeln!(out, "nothing to clean")?;
     }
@@ -20,7 +21,7 @@ pub fn run() -> anyhow::Result<Exit> {
         writeln!(out, "cleaned {name}")?;
     }
     for group in group::list()?.into_iter().filter(|g| !g.alive) {
-        writeln!(std::io::stderr(), "loopbound: {} could not be cleaned: is it another user's?", group.name)?;
+        say::err!("loopbound: {} could not be cleaned: is it another user's?", group.name);
     }
     Ok(Exit::Held)
 }

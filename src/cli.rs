@@ -9,6 +9,7 @@ use clap_complete::Shell;
 use loopbound_monitor::live::Address;
 use loopbound_shared::law::LawKind;
 use loopbound_shared::role::RoleArgs;
+use loopbound_shared::say;
 use loopbound_shared::scenario::{Mode, Scenario, Wakeup, parse_duration, parse_rate};
 
 use crate::exit::Exit;
@@ -306,19 +307,45 @@ impl ScenarioArgs {
 pub fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
-        Err(error) => {
-            // Also help and version, which go to standard output with code 0.
-            let _ = error.print();
-            return if error.use_stderr() { Exit::Usage.into() } else { Exit::Held.into() };
-        }
+        Err(error) => return not_parsed(&error).into(),
     };
-    match dispatch(cli.command) {
-        Ok(exit) => exit.into(),
-        Err(error) => {
-            let _ = writeln!(std::io::stderr(), "loopbound: {}", one_line(&error));
-            Exit::of(&error).into()
-        }
+    let printing = prints_its_result(&cli.command);
+    let exit = dispatch(cli.command).unwrap_or_else(|error| {
+        say::err!("loopbound: {}", one_line(&error));
+        Exit::of(&error)
+    });
+    after_printing(exit, printing).into()
+}
+
+/// Help and version go to standard output with code 0, everything else to standard error.
+fn not_parsed(error: &clap::Error) -> Exit {
+    let text = error.render();
+    if error.use_stderr() {
+        let text = if say::in_colour(say::err_to_terminal()) { text.ansi().to_string() } else { text.to_string() };
+        say::err!("{}", text.trim_end_matches('\n'));
+        return Exit::Usage;
     }
+    let text = if say::in_colour(say::to_terminal()) { text.ansi().to_string() } else { text.to_string() };
+    say::out!("{}", text.trim_end_matches('\n'));
+    after_printing(Exit::Held, true)
+}
+
+/// Whether a command is of no use without what it prints. The others have done something that stands.
+fn prints_its_result(command: &Command) -> bool {
+    use Command::{Clean, Controller, Fault, Plant, Reference, Report, Run, Study, Swap};
+    let acts = matches!(
+        command,
+        Run(_) | Swap(_) | Fault(_) | Study(_) | Report(_) | Clean | Plant(_) | Controller(_) | Reference(_)
+    );
+    !acts
+}
+
+/// The exit code, when a part of standard output was lost other than by its reader's leaving: a lost result is an error of
+/// its own, a run's verdict stands. Either way a line says so.
+fn after_printing(exit: Exit, prints_its_result: bool) -> Exit {
+    let Some(error) = say::lost() else { return exit };
+    say::err!("loopbound: standard output can't be written: {error}");
+    if prints_its_result { Exit::Internal } else { exit }
 }
 
 /// What was tried, then why it failed, without saying anything twice: some errors quote their cause themselves.
@@ -363,7 +390,7 @@ fn dispatch(command: Command) -> anyhow::Result<Exit> {
 
 fn doctor(json: bool) -> anyhow::Result<Exit> {
     let report = doctor::examine();
-    let mut out = std::io::stdout().lock();
+    let mut out = say::stdout();
     if json {
         writeln!(out, "{}", serde_json::to_string(&report)?)?;
     } else {

@@ -4,6 +4,7 @@ use std::io::Write as _;
 
 use clap::Args;
 use loopbound_shared::event::LiveFault;
+use loopbound_shared::say;
 use loopbound_shared::scenario::parse_duration;
 
 use crate::cli::word;
@@ -59,7 +60,7 @@ pub fn run(args: &FaultArgs) -> anyhow::Result<Exit> {
             ..FaultReport::default()
         },
     };
-    let mut out = std::io::stdout().lock();
+    let mut out = say::stdout();
     if args.json {
         writeln!(out, "{}", serde_json::to_string(&report)?)?;
     } else {

@@ -3,7 +3,6 @@
 //! Each is a process of its own, so that the supervisor has nothing else to do. They leave by themselves when the group
 //! has ended, and give the terminal back before the report is printed.
 
-use std::io::IsTerminal as _;
 use std::os::unix::process::CommandExt as _;
 use std::process::{Child, Command, Stdio};
 use std::thread::JoinHandle;
@@ -11,6 +10,7 @@ use std::thread::JoinHandle;
 use anyhow::Context as _;
 use loopbound_monitor::live::Address;
 use loopbound_shared::clock::{NS_PER_S, now_ns, sleep_ns};
+use loopbound_shared::say;
 use rustix::process::{Pid, Signal, getpid, kill_process};
 
 use crate::exit::{Exit, Failure};
@@ -35,7 +35,7 @@ impl Guest {
     /// # Errors
     /// If there is no terminal, or no process.
     pub fn view(group: &str) -> anyhow::Result<Self> {
-        anyhow::ensure!(std::io::stdout().is_terminal(), Failure::usage("--tui needs a terminal"));
+        anyhow::ensure!(say::to_terminal(), Failure::usage("--tui needs a terminal"));
         let view = command(group, VIEW_ID)?.arg("--tui").spawn().context("the live view")?;
         Self::wait_for(view, |code| {
             if code == Some(i32::from(Exit::Interrupted.code())) {

@@ -16,6 +16,7 @@ pub mod inprocess;
 pub mod model;
 pub mod pages;
 pub mod processes;
+pub mod progress;
 pub mod ps;
 pub mod replay;
 pub mod report;

@@ -2,11 +2,12 @@
 //!
 //! For whoever wants to check the mathematics from another language, or use it as an oracle.
 
-use std::io::{BufRead, BufWriter, ErrorKind, Write};
+use std::io::{BufRead, BufWriter, Write};
 
 use anyhow::Context as _;
 use clap::Args;
 use loopbound_shared::chain::{Chain, LINKS_MAX, LinkParameters, Matrix, Vector};
+use loopbound_shared::say;
 use loopbound_shared::scenario::{ChainSpec, Scenario};
 use loopbound_shared::with_links;
 use serde::{Deserialize, Serialize};
@@ -80,10 +81,10 @@ struct Complaint {
 /// Answers standard input on standard output.
 ///
 /// # Errors
-/// If the scenario is refused, or standard input or output fails.
+/// If the scenario is refused, or standard input fails.
 pub fn run(args: &ModelArgs) -> anyhow::Result<Exit> {
     let scenario = args.scenario.load()?;
-    answer_all(&scenario, std::io::stdin().lock(), &mut BufWriter::new(std::io::stdout().lock()))
+    answer_all(&scenario, std::io::stdin().lock(), &mut BufWriter::new(say::stdout()))
 }
 
 /// Answers each line, good or bad; one that can't be answered doesn't stop the others.
@@ -104,9 +105,9 @@ fn answer_all(scenario: &Scenario, input: impl BufRead, output: &mut impl Write)
             }
         };
         // Each line at once: the asker may wait for it before it asks again.
-        match writeln!(output, "{text}").and_then(|()| output.flush()) {
-            Err(e) if e.kind() == ErrorKind::BrokenPipe => return Ok(exit),
-            written => written.context("standard output")?,
+        writeln!(output, "{text}").and_then(|()| output.flush())?;
+        if say::is_in_vain() {
+            break;
         }
     }
     Ok(exit)

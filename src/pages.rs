@@ -6,23 +6,25 @@ use std::path::Path;
 use anyhow::Context as _;
 use clap_complete::Shell;
 
+use loopbound_shared::say;
+
 use crate::exit::Exit;
 
 /// Prints the completions of `shell`.
 ///
 /// # Errors
-/// If standard output can't be written.
+/// Never: [`say::lost`] tells of a lost output.
 pub fn completions(shell: Shell, command: &mut clap::Command) -> anyhow::Result<Exit> {
     let mut text = Vec::new();
     clap_complete::generate(shell, command, "loopbound", &mut text);
-    std::io::stdout().write_all(&text).context("standard output")?;
+    say::stdout().write_all(&text)?;
     Ok(Exit::Held)
 }
 
 /// Prints the manual page, or writes those of all commands to `folder`.
 ///
 /// # Errors
-/// If standard output or the folder can't be written.
+/// If the folder can't be written.
 pub fn manual(folder: Option<&Path>, command: clap::Command) -> anyhow::Result<Exit> {
     if let Some(folder) = folder {
         std::fs::create_dir_all(folder).with_context(|| format!("{}", folder.display()))?;
@@ -30,7 +32,7 @@ pub fn manual(folder: Option<&Path>, command: clap::Command) -> anyhow::Result<E
     } else {
         let mut text = Vec::new();
         clap_mangen::Man::new(command).render(&mut text)?;
-        std::io::stdout().write_all(&text).context("standard output")?;
+        say::stdout().write_all(&text)?;
     }
     Ok(Exit::Held)
 }

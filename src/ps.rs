@@ -4,6 +4,7 @@ use std::io::Write as _;
 
 use loopbound_shared::group::{self, file_of};
 use loopbound_shared::realtime::ProcessHandle;
+use loopbound_shared::say;
 
 use crate::exit::Exit;
 use crate::supervise::{ROSTER_FILE, Roster};
@@ -11,10 +12,10 @@ use crate::supervise::{ROSTER_FILE, Roster};
 /// Prints all groups with a living member, as a table or as one JSON document.
 ///
 /// # Errors
-/// If standard output can't be written.
+/// If the runtime directory is not this user's own.
 pub fn run(json: bool) -> anyhow::Result<Exit> {
     let rosters: Vec<Roster> = group::list()?.into_iter().filter(|g| g.alive).map(|g| roster_of(&g.name)).collect();
-    let mut out = std::io::stdout().lock();
+    let mut out = say::stdout();
     if json {
         writeln!(out, "{}", serde_json::to_string(&rosters)?)?;
     } else {

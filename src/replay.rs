@@ -19,6 +19,7 @@ use loopbound_shared::event::Role;
 use loopbound_shared::headline::Headline;
 use loopbound_shared::law::LawKind;
 use loopbound_shared::sample::{Announce, SEGMENTS_MAX, TickRecord};
+use loopbound_shared::say;
 use loopbound_shared::scenario::Scenario;
 use loopbound_shared::with_links;
 use serde::Serialize;
@@ -102,7 +103,7 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<Exit> {
         let summary: Summary = serde_json::from_str(&text).with_context(|| written.display().to_string())?;
         report.verdict_recorded = Some(summary.verdict.status);
     }
-    let mut stdout = std::io::stdout().lock();
+    let mut stdout = say::stdout();
     if args.json {
         writeln!(stdout, "{}", serde_json::to_string_pretty(&report)?)?;
     } else {

@@ -6,6 +6,8 @@ use anyhow::Context as _;
 use clap::Args;
 use loopbound_monitor::report::{page, read_run};
 
+use loopbound_shared::say;
+
 use crate::exit::{Exit, Failure};
 use crate::supervise::write_whole;
 
@@ -29,7 +31,7 @@ pub fn run(args: &ReportArgs) -> anyhow::Result<Exit> {
     let folders: Vec<&Path> = std::iter::once(args.run.as_path()).chain(args.other.as_deref()).collect();
     let path = args.out.clone().unwrap_or_else(|| args.run.join("report.html"));
     write(&folders, &path)?;
-    println!("{}", path.display());
+    say::out!("{}", path.display());
     Ok(Exit::Held)
 }
 

@@ -1,14 +1,14 @@
 //! `loopbound run`: from a scenario to one screen.
 
-use std::io::{IsTerminal as _, Write as _};
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 use loopbound_monitor::Summary;
 use loopbound_monitor::live::Address;
 use loopbound_monitor::verdict::expectations;
+use loopbound_shared::say;
 use loopbound_shared::scenario::{ExpectSection, Scenario};
 use serde_json::Value;
 
@@ -16,8 +16,9 @@ use crate::check;
 use crate::cli::ScenarioArgs;
 use crate::exit::{Exit, Failure};
 use crate::guests::Guest;
+use crate::progress::Progress;
 use crate::signals::Stop;
-use crate::supervise::{self, Options, Outcome, Record};
+use crate::supervise::{self, Options, Outcome, ProcessRecord, Record};
 
 /// Width of the report.
 const SCREEN_COLUMNS: usize = 100;
@@ -64,7 +65,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<Exit> {
     let options = Options {
         group: args.group.clone().unwrap_or_else(|| format!("lb-{}", std::process::id())),
         out: out.clone(),
-        progress: progress(args, &scenario),
+        progress: progress(args, &scenario).context("progress")?,
         quiet: args.quiet || args.tui,
         stop: &stop,
     };
@@ -94,13 +95,10 @@ fn prepare_folder(folder: &Path) -> anyhow::Result<PathBuf> {
 }
 
 /// On a terminal only. Nothing when piped or with `--json`.
-fn progress(args: &RunArgs, scenario: &Scenario) -> ProgressBar {
-    if args.quiet || args.json || args.tui || !std::io::stderr().is_terminal() {
-        return ProgressBar::hidden();
-    }
-    let style = ProgressStyle::with_template("{bar:40} {percent:>3} %  tick {human_pos} of {human_len}  {elapsed}")
-        .unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::new(scenario.loop_.ticks()).with_style(style)
+fn progress(args: &RunArgs, scenario: &Scenario) -> std::io::Result<Progress> {
+    let hidden = args.quiet || args.json || args.tui || !say::err_to_terminal();
+    let bar = (!hidden).then_some("{bar:40} {percent:>3} %  tick {human_pos} of {human_len}  {elapsed}");
+    Progress::start(scenario.loop_.ticks(), bar)
 }
 
 fn report(args: &RunArgs, out: Option<&Path>, outcome: Outcome) -> anyhow::Result<Exit> {
@@ -113,11 +111,11 @@ fn report(args: &RunArgs, out: Option<&Path>, outcome: Outcome) -> anyhow::Resul
         check::write_junit(&folder.join("junit.xml"), summary)?;
     }
     let exit = exit_of(stopped, &record, summary.as_ref());
-    let mut stdout = std::io::stdout().lock();
+    let mut stdout = say::stdout();
     match &summary {
         Some(summary) if args.json => writeln!(stdout, "{}", serde_json::to_string_pretty(summary)?)?,
         Some(summary) if !args.quiet => {
-            let colour = std::io::stdout().is_terminal();
+            let colour = say::in_colour(say::to_terminal());
             write!(stdout, "{}", loopbound_monitor::render(summary, SCREEN_COLUMNS, colour))?;
             check::print_table(&mut stdout, &summary.verdict)?;
         }
@@ -131,10 +129,9 @@ fn report(args: &RunArgs, out: Option<&Path>, outcome: Outcome) -> anyhow::Resul
     if let Some(summary) = &summary {
         check::annotate(&summary.verdict);
     }
-    if !args.quiet {
-        for line in notes(&record, summary.is_some()) {
-            eprintln!("loopbound: {line}");
-        }
+    let notes = if args.quiet { Vec::new() } else { said(&record) };
+    for line in errors(&record, summary.is_some()).into_iter().chain(notes) {
+        say::err!("loopbound: {line}");
     }
     Ok(exit)
 }
@@ -145,23 +142,29 @@ fn complete(mut value: Value, record: &Record) -> anyhow::Result<Summary> {
     serde_json::from_value(value).context("the monitor's summary")
 }
 
-/// What the report does not show: losses, and what the processes said.
-fn notes(record: &Record, has_summary: bool) -> Vec<String> {
-    let mut notes = Vec::new();
+/// What went wrong with the group itself, said in every case.
+fn errors(record: &Record, has_summary: bool) -> Vec<String> {
+    let mut errors = Vec::new();
     if record.end != "done" {
-        notes.push(format!("the group ended early: {}", record.end));
+        errors.push(format!("the group ended early: {}", record.end));
     }
     // Those that were recovered were noted when it happened.
     for death in record.deaths.iter().filter(|d| !d.recovered) {
-        notes.push(format!("{} {}: {} in tick {}, not recovered", death.role, death.id, death.how, death.tick));
-    }
-    for process in &record.processes {
-        notes.extend(process.said.iter().map(|line| format!("{} {}: {line}", process.role, process.id)));
+        errors.push(format!("{} {}: {} in tick {}, not recovered", death.role, death.id, death.how, death.tick));
     }
     if !has_summary {
-        notes.push("the monitor left no summary".to_owned());
+        errors.push("the monitor left no summary".to_owned());
     }
-    notes
+    errors
+}
+
+/// What the processes said, which the report does not show.
+fn said(record: &Record) -> Vec<String> {
+    let lines = |process: &ProcessRecord| {
+        let who = format!("{} {}", process.role, process.id);
+        process.said.iter().map(|line| format!("{who}: {line}")).collect::<Vec<_>>()
+    };
+    record.processes.iter().flat_map(lines).collect()
 }
 
 fn exit_of(stopped: Option<Exit>, record: &Record, summary: Option<&Summary>) -> Exit {
@@ -205,7 +208,7 @@ mod tests {
 
     #[test]
     fn an_unrecovered_death_is_named_with_its_tick() {
-        let notes = notes(&died(false), false);
-        assert!(notes[0].contains("controller 1: killed (SIGKILL) in tick 5, not recovered"), "{notes:?}");
+        let errors = errors(&died(false), false);
+        assert!(errors[0].contains("controller 1: killed (SIGKILL) in tick 5, not recovered"), "{errors:?}");
     }
 }

@@ -20,7 +20,6 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering::SeqCst;
 
 use anyhow::Context as _;
-use indicatif::ProgressBar;
 use loopbound_shared::cast;
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::{Bell, ControlBlock};
@@ -34,6 +33,7 @@ use loopbound_shared::topics::Topic as _;
 
 use crate::exit::{Exit, Failure};
 use crate::processes;
+use crate::progress::Progress;
 use crate::signals::Stop;
 use child::Child;
 use control::Control;
@@ -65,7 +65,7 @@ pub struct Options<'a> {
     /// Where the files of the run go.
     pub out: Option<PathBuf>,
     /// Shows how far the run is.
-    pub progress: ProgressBar,
+    pub progress: Progress,
     /// No notes while it runs.
     pub quiet: bool,
     /// Whether and how to stop early.
@@ -154,7 +154,7 @@ pub fn supervise(scenario: &Scenario, options: &Options<'_>) -> anyhow::Result<O
         None => supervisor.run(),
         Some(end) => end,
     };
-    options.progress.finish_and_clear();
+    options.progress.finish();
     supervisor.finish(end)
 }
 
@@ -456,7 +456,7 @@ impl<'a> Supervisor<'a> {
     /// Says something while the run goes on, above the progress bar.
     fn note(&self, line: &str) {
         if !self.options.quiet {
-            self.options.progress.suspend(|| eprintln!("loopbound: {line}"));
+            self.options.progress.note(line.to_owned());
         }
     }
 

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use loopbound_shared::law::LawKind;
+use loopbound_shared::say;
 use loopbound_shared::scenario::parse_duration;
 
 use crate::exit::{Exit, Failure};
@@ -70,7 +71,7 @@ pub fn run(args: &SwapArgs) -> anyhow::Result<Exit> {
             ..SwapReport::default()
         },
     };
-    let mut out = std::io::stdout().lock();
+    let mut out = say::stdout();
     if args.json {
         writeln!(out, "{}", serde_json::to_string(&report)?)?;
     } else {

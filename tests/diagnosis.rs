@@ -1,4 +1,5 @@
 //! Diagnoses end to end in lockstep: what goes wrong on purpose is named for what it is, and nothing else is named.
+#![allow(clippy::disallowed_macros, reason = "the harness keeps what a test prints")]
 
 use loopbound::inprocess::InProcess;
 use loopbound::study::measure::tracker_config;

@@ -30,6 +30,7 @@ const TRANSPORT_ALLOWED: [&str; 6] = [
     "tests/groups/strangers.rs",
 ];
 const CLOCK: &str = "shared/src/clock.rs";
+const SAY: &str = "shared/src/say.rs";
 
 const LINES_MAX: usize = 600;
 /// Files that are longer, each with the reason: none so far.
@@ -242,6 +243,14 @@ fn nothing_that_picks_instructions_at_run_time_multiplies_matrices() {
 fn only_the_clock_module_reads_clocks_or_sleeps() {
     let words = ["Instant::now", "SystemTime::now", "thread::sleep", "clock_gettime", "clock_nanosleep"];
     assert_eq!(offenders(&words, &[CLOCK]), NONE);
+}
+
+#[test]
+fn one_module_writes_to_the_standard_streams() {
+    let words = ["print!", "println!", "eprint!", "eprintln!", "dbg!", "io::stdout", "io::stderr"];
+    // What a test prints is kept by the harness, and shown if it fails.
+    let found: Vec<String> = offenders(&words, &[SAY]).into_iter().filter(|name| !name.starts_with("tests/")).collect();
+    assert_eq!(found, NONE);
 }
 
 #[test]

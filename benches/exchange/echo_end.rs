@@ -12,6 +12,7 @@ use loopbound_shared::law::LawKind;
 use loopbound_shared::ports::{Node, Publisher, Subscriber};
 use loopbound_shared::realtime;
 use loopbound_shared::sample::{State, Torque};
+use loopbound_shared::say;
 use loopbound_shared::scenario::Scenario;
 use loopbound_shared::wakeup::{Ringer, Waiter};
 
@@ -51,7 +52,7 @@ pub(crate) fn run(name: &str, parent: u32, request: &realtime::Request) -> Resul
     let mut end = EchoEnd::open(&group)?;
     let mut entered = realtime::enter(request);
     entered.populate_shared(&[group.prefix().as_str()]);
-    println!("{}", entered.privileges());
+    say::out!("{}", entered.privileges());
     let mut done = 0;
     loop {
         let orders = &end.page.orders;

@@ -28,6 +28,7 @@ use loopbound_shared::clock;
 use loopbound_shared::group::Group;
 use loopbound_shared::realtime::{self, ProcessHandle, Request};
 use loopbound_shared::sample::Setpoint;
+use loopbound_shared::say;
 use loopbound_shared::scenario::Wakeup;
 
 use crate::mechanism::Mechanism;
@@ -110,7 +111,7 @@ fn main() -> ExitCode {
     match run(&Arguments::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("exchange: {error:#}");
+            say::err!("exchange: {error:#}");
             ExitCode::FAILURE
         }
     }

@@ -3,6 +3,8 @@
 use anyhow::Result;
 use serde::Serialize;
 
+use loopbound_shared::say;
+
 use crate::host::Host;
 use crate::kernels::Kernel;
 use crate::statistics::{Ratio, Row};
@@ -28,7 +30,7 @@ impl Report {
 
     pub(crate) fn print(&self, json: bool) -> Result<()> {
         if json {
-            println!("{}", serde_json::to_string_pretty(self)?);
+            say::out!("{}", serde_json::to_string_pretty(self)?);
             return Ok(());
         }
         self.print_host();
@@ -44,11 +46,11 @@ impl Report {
     fn print_host(&self) {
         let Host { taken_at, machine, cpu, cores, virtualised, kernel, clock_source, governor, load, commit } =
             &self.host;
-        println!("{taken_at}, commit {commit}");
-        println!("{cpu}, {machine}, {cores} cores{}", if *virtualised { ", virtualised" } else { "" });
-        println!("kernel {kernel}, clock {clock_source}, governor {governor}, load {load}");
+        say::out!("{taken_at}, commit {commit}");
+        say::out!("{cpu}, {machine}, {cores} cores{}", if *virtualised { ", virtualised" } else { "" });
+        say::out!("kernel {kernel}, clock {clock_source}, governor {governor}, load {load}");
         for privileges in self.privileges.iter().filter(|text| !text.is_empty()) {
-            println!("{privileges}");
+            say::out!("{privileges}");
         }
     }
 
@@ -58,14 +60,19 @@ impl Report {
         } else {
             format!("one every {} µs", self.period_ns / 1000)
         };
-        println!("\nState out, torque back, {pace}; blocks of all interleaved over {} rounds. µs.", self.rounds);
-        println!(
+        say::out!("\nState out, torque back, {pace}; blocks of all interleaved over {} rounds. µs.", self.rounds);
+        say::out!(
             "{:<26}{:>8}{:>9}{:>9}{:>9}{:>10}  ratio of p50 to its baseline",
-            "", "n", "p50", "p99", "p99.9", "max"
+            "",
+            "n",
+            "p50",
+            "p99",
+            "p99.9",
+            "max"
         );
         for row in &self.rows {
             let ratio = row.ratio.as_ref().map_or_else(String::new, describe);
-            println!(
+            say::out!(
                 "{:<26}{:>8}{:>9}{:>9}{:>9}{:>10}  {ratio}",
                 row.name,
                 row.n,
@@ -78,20 +85,20 @@ impl Report {
     }
 
     fn print_kernels(&self) {
-        println!("\nKernels, ns a call: median over batches (10 % … 90 %).");
-        println!("{:<22}{:>24}{:>24}{:>24}", "", "1 link", "3 links", "7 links");
+        say::out!("\nKernels, ns a call: median over batches (10 % … 90 %).");
+        say::out!("{:<22}{:>24}{:>24}{:>24}", "", "1 link", "3 links", "7 links");
         let names: Vec<_> = self.kernels.iter().filter(|kernel| kernel.links == 1).map(|kernel| kernel.name).collect();
         for name in names {
-            print!("{name:<22}");
-            for Kernel { median_ns, p10_ns, p90_ns, .. } in self.kernels.iter().filter(|kernel| kernel.name == name) {
-                print!("{:>24}", format!("{median_ns:.1} ({p10_ns:.1} … {p90_ns:.1})"));
-            }
-            println!();
+            let cells = self.kernels.iter().filter(|kernel| kernel.name == name).map(|kernel| {
+                let Kernel { median_ns, p10_ns, p90_ns, .. } = kernel;
+                format!("{:>24}", format!("{median_ns:.1} ({p10_ns:.1} … {p90_ns:.1})"))
+            });
+            say::out!("{name:<22}{}", cells.collect::<String>());
         }
         for Kernel { name, links, median_ns, aim_ns, .. } in &self.kernels {
             if let Some(aim_ns) = aim_ns {
                 let verdict = if median_ns < aim_ns { "met" } else { "missed" };
-                println!("{name}, {links} links: {median_ns:.1} ns, aim < {aim_ns} ns: {verdict}");
+                say::out!("{name}, {links} links: {median_ns:.1} ns, aim < {aim_ns} ns: {verdict}");
             }
         }
     }

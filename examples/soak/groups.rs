@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use loopbound_shared::clock;
 use loopbound_shared::group::Group;
 use loopbound_shared::rng::{Stream, uniform};
+use loopbound_shared::say;
 
 use crate::live::{Live, kill};
 
@@ -35,7 +36,7 @@ pub(crate) fn run(count: u32, seed: u64) -> anyhow::Result<u32> {
             Some(_) => slowest_ns = slowest_ns.max(clock::now_ns().saturating_sub(from_ns + RUN_NS)),
             None => {
                 faults += 1;
-                println!("  {} hangs after a kill of {:?}", live.name, roster.processes.get(index));
+                say::out!("  {} hangs after a kill of {:?}", live.name, roster.processes.get(index));
             }
         }
         let mut left = live.left_behind(HANG_NS);
@@ -47,11 +48,11 @@ pub(crate) fn run(count: u32, seed: u64) -> anyhow::Result<u32> {
         }
         if !left.is_empty() {
             faults += 1;
-            println!("  {} left {left:?} after a kill of {:?}", live.name, roster.processes.get(index));
+            say::out!("  {} left {left:?} after a kill of {:?}", live.name, roster.processes.get(index));
         }
     }
-    println!("groups: {count}, one kill each: {victims:?}");
-    println!("  left for the next group of the name to sweep, the launcher being dead: {left_to_next}");
-    println!("  ended at most {:.2} s after their time; faults: {faults}", slowest_ns as f64 * 1e-9);
+    say::out!("groups: {count}, one kill each: {victims:?}");
+    say::out!("  left for the next group of the name to sweep, the launcher being dead: {left_to_next}");
+    say::out!("  ended at most {:.2} s after their time; faults: {faults}", slowest_ns as f64 * 1e-9);
     Ok(faults)
 }

@@ -1,6 +1,7 @@
 //! Kills of the controller in charge, one after the other, in a group with a standby.
 
 use loopbound_shared::clock;
+use loopbound_shared::say;
 use serde_json::Value;
 
 use crate::live::{Live, in_state, kill, spread};
@@ -37,12 +38,12 @@ pub(crate) fn run(count: u32) -> anyhow::Result<u32> {
     let failovers: Vec<&Value> = swaps.iter().filter(|swap| swap["kind"] == "failover").collect();
     let figure = |key: &str| failovers.iter().filter_map(|swap| swap[key].as_f64()).collect::<Vec<_>>();
     let ticks: Vec<u64> = failovers.iter().filter_map(|swap| swap["tick"].as_u64()).collect();
-    println!("kills of the active controller: {count}; failovers {}", failovers.len());
+    say::out!("kills of the active controller: {count}; failovers {}", failovers.len());
     Trace::read(live.out.path())?.print_missed("a failover", &ticks);
-    println!("  ticks missed in all: {} of {}", summary["counters"]["missed"], summary["counters"]["ticks"]);
-    println!("  torque step at the failover, N·m: {}", spread(figure("torque_step_nm")));
-    println!("  held, damped: {}, {}", summary["counters"]["held"], summary["counters"]["damped"]);
-    println!("  bound: {}, slack min {}", summary["bound"]["verdicts"], summary["bound"]["slack_min"]);
-    println!("  the group ended within {:.2} s", end_ns as f64 * 1e-9);
+    say::out!("  ticks missed in all: {} of {}", summary["counters"]["missed"], summary["counters"]["ticks"]);
+    say::out!("  torque step at the failover, N·m: {}", spread(figure("torque_step_nm")));
+    say::out!("  held, damped: {}, {}", summary["counters"]["held"], summary["counters"]["damped"]);
+    say::out!("  bound: {}, slack min {}", summary["bound"]["verdicts"], summary["bound"]["slack_min"]);
+    say::out!("  the group ended within {:.2} s", end_ns as f64 * 1e-9);
     Ok(u32::from(end_ns > 2_000_000_000))
 }

@@ -16,6 +16,7 @@ mod trace;
 use std::process::ExitCode;
 
 use clap::Parser;
+use loopbound_shared::say;
 
 /// Hundreds of swaps and kills, and what they cost.
 #[derive(Debug, Parser)]
@@ -46,11 +47,11 @@ fn main() -> ExitCode {
     match soak(&Args::parse()) {
         Ok(0) => ExitCode::SUCCESS,
         Ok(faults) => {
-            println!("{faults} faults");
+            say::out!("{faults} faults");
             ExitCode::FAILURE
         }
         Err(error) => {
-            eprintln!("soak: {error:#}");
+            say::err!("soak: {error:#}");
             ExitCode::FAILURE
         }
     }

@@ -1,5 +1,7 @@
 //! Swaps between three laws in one group: every other one with a cross-fade.
 
+use loopbound_shared::say;
+
 use crate::live::{Live, spread};
 use crate::trace::Trace;
 
@@ -44,17 +46,17 @@ pub(crate) fn run(count: u32) -> anyhow::Result<u32> {
     }
     let (summary, end_ns) = live.end()?;
     let trace = Trace::read(live.out.path())?;
-    println!("swaps: {done} of {count} done, {} not", refusals.len());
-    refusals.iter().for_each(|line| println!("  {line}"));
+    say::out!("swaps: {done} of {count} done, {} not", refusals.len());
+    refusals.iter().for_each(|line| say::out!("  {line}"));
     trace.print_missed("a switch", &switches);
     let steps = |ticks: &[u64], within: u64| spread(ticks.iter().filter_map(|t| trace.step(*t, within)).collect());
-    println!("  torque step at a hard switch, N·m: {}", steps(&hard, 1));
-    println!("  torque step at a switch with --blend {BLEND}, N·m: {}", steps(&faded, 1));
-    println!("  largest step of a tick in such a fade, N·m: {}", steps(&faded, BLEND_TICKS));
-    println!("  torque step of ordinary ticks, N·m: {}", spread(trace.ordinary_steps(&switches)));
-    println!("  command to authority, ms: {}", spread(to_authority_ms));
-    println!("  ticks missed in all: {} of {}", summary["counters"]["missed"], summary["counters"]["ticks"]);
-    println!("  bound: {}, slack min {}", summary["bound"]["verdicts"], summary["bound"]["slack_min"]);
-    println!("  group {} ended within {:.2} s", live.name, end_ns as f64 * 1e-9);
+    say::out!("  torque step at a hard switch, N·m: {}", steps(&hard, 1));
+    say::out!("  torque step at a switch with --blend {BLEND}, N·m: {}", steps(&faded, 1));
+    say::out!("  largest step of a tick in such a fade, N·m: {}", steps(&faded, BLEND_TICKS));
+    say::out!("  torque step of ordinary ticks, N·m: {}", spread(trace.ordinary_steps(&switches)));
+    say::out!("  command to authority, ms: {}", spread(to_authority_ms));
+    say::out!("  ticks missed in all: {} of {}", summary["counters"]["missed"], summary["counters"]["ticks"]);
+    say::out!("  bound: {}, slack min {}", summary["bound"]["verdicts"], summary["bound"]["slack_min"]);
+    say::out!("  group {} ended within {:.2} s", live.name, end_ns as f64 * 1e-9);
     Ok(u32::from(end_ns > 2_000_000_000))
 }

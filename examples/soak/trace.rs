@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use loopbound_shared::say;
 use serde_json::Value;
 
 /// Misses this soon after a change, in ticks, may be of it.
@@ -53,7 +54,7 @@ impl Trace {
         let total = self.steps.len() as u64;
         let near_of = self.steps.keys().filter(|tick| within(**tick, changes)).count() as u64;
         let share = |ticks: u64, of: u64| 100.0 * ticks as f64 / of.max(1) as f64;
-        println!(
+        say::out!(
             "  missed within {WINDOW_TICKS} ticks of {what}: {near_ticks} ({:.2} % of these ticks; elsewhere {:.2} %): {near:?}",
             share(near_ticks, near_of),
             share(elsewhere_ticks, total - near_of),

@@ -10,6 +10,7 @@ use loopbound_shared::event::{Acceptance, Decision};
 use loopbound_shared::integrator::integrate;
 use loopbound_shared::law::LawKind;
 use loopbound_shared::sample::{Receipt, Segment, TickRecord, to_links};
+use loopbound_shared::say;
 use loopbound_shared::scenario::Scenario;
 use loopbound_shared::system;
 
@@ -94,7 +95,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             }
             let each_ns = (now_ns() - from_ns) as f64 / TICKS as f64;
             let checked = tracker.summarise().bound.checked;
-            println!(
+            say::out!(
                 "{name}, round {round}: {each_ns:.0} ns a record, {:.0} records/s, {checked} checked",
                 1e9 / each_ns
             );

@@ -3,7 +3,7 @@
 //! It runs at the ordinary priority, polls and is never a listener, so that the loop does not feel it. It ends with
 //! the plant's last record, with the plant, on the stop flag, after its time, or when the group has died.
 
-use std::io::IsTerminal;
+use std::io::Write as _;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 
@@ -17,6 +17,7 @@ use loopbound_shared::ports::{Publisher, Subscriber};
 use loopbound_shared::realtime::{Privileges, die_with_parent};
 use loopbound_shared::role::{Joined, RoleArgs, RoleError, announce, build_id, join, kill_self};
 use loopbound_shared::sample::{Announce, TickRecord, record_flag};
+use loopbound_shared::say;
 use loopbound_shared::scenario::{self, Mode, Scenario};
 use loopbound_shared::topics::Topic;
 use loopbound_shared::with_links;
@@ -443,7 +444,7 @@ fn serve(address: &Address, args: &MonitorArgs, scenario: &Scenario) -> Result<L
     let lockstep = scenario.loop_.mode == Mode::Lockstep;
     let live = Live::start(address, &about(args, scenario)?, scenario.period_ns(), lockstep).map_err(refused)?;
     let whom = if address.is_loopback() { "this machine" } else { "every machine that can reach this one" };
-    eprintln!("loopbound: group {} is live for Foxglove on {whom} at {}", args.group, live.url());
+    say::err!("loopbound: group {} is live for Foxglove on {whom} at {}", args.group, live.url());
     Ok(live)
 }
 
@@ -479,9 +480,9 @@ fn report(args: &MonitorArgs, joined: &Joined, outcome: &Outcome) -> Result<(), 
     }
     if args.json {
         let text = serde_json::to_string_pretty(&outcome.summary);
-        println!("{}", text.map_err(|e| RoleError::Other(e.to_string()))?);
+        say::out!("{}", text.map_err(|e| RoleError::Other(e.to_string()))?);
     } else {
-        print!("{}", render(&outcome.summary, 100, std::io::stdout().is_terminal()));
+        let _ = write!(say::stdout(), "{}", render(&outcome.summary, 100, say::in_colour(say::to_terminal())));
     }
     Ok(())
 }

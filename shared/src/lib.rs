@@ -21,6 +21,7 @@ pub mod rng;
 pub mod role;
 pub mod run_id;
 pub mod sample;
+pub mod say;
 pub mod scenario;
 pub mod setpoints;
 pub mod system;

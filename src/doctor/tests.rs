@@ -1,6 +1,7 @@
 use std::os::unix::fs::PermissionsExt;
 
 use loopbound_shared::realtime::Outcome;
+use loopbound_shared::say;
 
 use super::*;
 
@@ -251,5 +252,5 @@ fn this_machine_can_be_examined() {
     for finding in &report.findings {
         assert_eq!(finding.status == Status::Good, finding.cost.is_none(), "{finding:?}");
     }
-    println!("{}", render(&report));
+    say::out!("{}", render(&report));
 }

@@ -22,13 +22,13 @@ pub mod pictures;
 pub mod text;
 
 use std::collections::BTreeMap;
-use std::io::{IsTerminal as _, Write as _};
+use std::io::Write as _;
 
 use anyhow::Context as _;
-use indicatif::{ProgressBar, ProgressStyle};
 use loopbound_monitor::hops::Hop;
 use loopbound_monitor::verdict::comparison::compare_hop;
 use loopbound_shared::clock;
+use loopbound_shared::say;
 use loopbound_shared::scenario::{Nanos, Scenario};
 use serde::Serialize;
 use serde_json::Value;
@@ -43,6 +43,7 @@ use self::options::{Plan, Quantile};
 use self::text::percent;
 use super::Folder;
 use crate::exit::Exit;
+use crate::progress::Progress;
 use crate::signals::Stop;
 
 /// Version of `table.json`.
@@ -123,7 +124,7 @@ pub fn run(args: &LoadArgs) -> anyhow::Result<Exit> {
 fn announce(plan: &Plan, folder: &Folder) {
     let minutes = plan.estimate_s() / 60.0;
     let long = if minutes < 1.5 { format!("{:.0} s", plan.estimate_s()) } else { format!("{minutes:.0} min") };
-    eprintln!(
+    say::err!(
         "loopbound: {} cases in {} round(s) of {}, one group at a time: about {long}; results in {}",
         plan.cases.len(),
         plan.rounds,
@@ -143,11 +144,11 @@ struct Study<'a> {
 impl Study<'_> {
     /// Runs every case in every round, until a signal comes; what was measured until then stays.
     fn measure(&mut self, runner: &Runner<'_>) -> anyhow::Result<()> {
-        let progress = progress(self.plan.runs());
+        let progress = progress(self.plan.runs())?;
         'rounds: for round in 0..self.plan.rounds {
             for at in self.plan.round(round) {
                 let case = self.plan.cases[at];
-                progress.set_message(case.name());
+                progress.message(case.name());
                 if self.refusal(&case).is_none() {
                     match runner.run(&case, &self.scenario(&case)?, self.plan.run_ns) {
                         Ok(run) => {
@@ -163,10 +164,10 @@ impl Study<'_> {
                 } else {
                     self.all[at].refused = self.refusal(&case);
                 }
-                progress.inc(1);
+                progress.advance();
             }
         }
-        progress.finish_and_clear();
+        progress.finish();
         Ok(())
     }
 
@@ -280,13 +281,9 @@ impl Report {
 }
 
 /// On a terminal only.
-fn progress(runs: usize) -> ProgressBar {
-    if !std::io::stderr().is_terminal() {
-        return ProgressBar::hidden();
-    }
-    let style = ProgressStyle::with_template("{bar:30} {pos} of {len}, {eta} left  {msg}")
-        .unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::new(runs as u64).with_style(style)
+fn progress(runs: usize) -> anyhow::Result<Progress> {
+    let bar = say::err_to_terminal().then_some("{bar:30} {pos} of {len}, {eta} left  {msg}");
+    Progress::start(runs as u64, bar).context("progress")
 }
 
 fn write(folder: &Folder, report: &Report) -> anyhow::Result<()> {
@@ -298,7 +295,7 @@ fn write(folder: &Folder, report: &Report) -> anyhow::Result<()> {
 }
 
 fn print(args: &LoadArgs, report: &Report, folder: &Folder) -> anyhow::Result<()> {
-    let mut out = std::io::stdout().lock();
+    let mut out = say::stdout();
     if args.json {
         writeln!(out, "{}", serde_json::to_string_pretty(report)?)?;
         return Ok(());

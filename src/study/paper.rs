@@ -5,6 +5,7 @@ use std::io::Write as _;
 
 use loopbound_shared::bound::stability::sampling_budget;
 use loopbound_shared::law::LawKind;
+use loopbound_shared::say;
 use loopbound_shared::scenario::{Hertz, PerLink, Scenario, ScenarioError};
 use loopbound_shared::{system, with_links};
 
@@ -59,7 +60,7 @@ pub fn run(args: &PaperArgs) -> anyhow::Result<Exit> {
         let folder = Folder::open(&path)?;
         let found = with_links!(links, study::<N>(args.quick)).map_err(|e| Failure::usage(e.to_string()))?;
         write(&folder, &found)?;
-        let mut out = std::io::stdout().lock();
+        let mut out = say::stdout();
         writeln!(out, "{links} links\n\n{}\nwritten to {}", verdicts_text(&found), folder.path().display())?;
     }
     Ok(Exit::Held)

@@ -5,6 +5,7 @@ use std::io::Write as _;
 
 use loopbound_monitor::chart::{Axis as ChartAxis, Figure, Panel, Series, Style};
 use loopbound_shared::law::LawKind;
+use loopbound_shared::say;
 use loopbound_shared::scenario::ScenarioError;
 use loopbound_shared::with_links;
 
@@ -96,7 +97,7 @@ pub fn run(args: &SweepArgs, axis: Axis) -> anyhow::Result<Exit> {
     folder.write(&format!("{name}.csv"), to_csv(axis, &all))?;
     let text = report(args.law, axis, &all);
     folder.write(&format!("{name}.md"), &text)?;
-    let mut out = std::io::stdout().lock();
+    let mut out = say::stdout();
     writeln!(out, "{text}\nwritten to {}", folder.path().display())?;
     Ok(if worst(&all, Boundary::radius_deviation) <= AGREEMENT { Exit::Held } else { Exit::Failed })
 }

@@ -3,6 +3,7 @@
 //! Every test has a group name of its own, takes the one turn there is (two groups on two cores would disturb each
 //! other), waits for nothing without an end, and leaves nothing behind: that is checked after every single one. No test
 //! asserts how long anything took on the clock, which is the machine's affair.
+#![allow(clippy::disallowed_macros, reason = "the harness keeps what a test prints")]
 
 mod fold;
 mod harness;
@@ -19,6 +20,7 @@ mod recording;
 mod scenario_faults;
 mod stopped;
 mod strangers;
+mod streams;
 mod studies;
 mod usage;
 mod users;

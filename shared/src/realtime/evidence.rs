@@ -212,6 +212,6 @@ mod tests {
             costs_ns.push(now_ns() - start_ns);
         }
         costs_ns.sort_unstable();
-        println!("p50 {} ns, p99 {} ns, max {} ns", costs_ns[50_000], costs_ns[99_000], costs_ns[99_999]);
+        crate::say::out!("p50 {} ns, p99 {} ns, max {} ns", costs_ns[50_000], costs_ns[99_000], costs_ns[99_999]);
     }
 }

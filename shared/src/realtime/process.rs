@@ -191,9 +191,9 @@ mod tests {
             Ok("child") => {
                 let parent = std::env::var("LOOPBOUND_TEST_PARENT").unwrap().parse().unwrap();
                 die_with_parent(parent).unwrap();
-                println!("pid={}", std::process::id());
+                crate::say::out!("pid={}", std::process::id());
             }
-            Ok("parent") => println!("pid={}", said_pid(&mut helper("child"))),
+            Ok("parent") => crate::say::out!("pid={}", said_pid(&mut helper("child"))),
             _ => return,
         }
         crate::clock::sleep_ns(2 * LONG_NS);
