@@ -3,8 +3,9 @@
 //! Tests whose tools or rights are missing leave a note in a folder of the target (`tests/groups/untested.rs`). Packages
 //! are tested in the order of their names, and this is the last one's.
 
-use std::io::Write as _;
 use std::path::Path;
+
+use loopbound_shared::say;
 
 #[test]
 fn what_could_not_be_tested_is_listed() {
@@ -17,7 +18,7 @@ fn what_could_not_be_tested_is_listed() {
     if !lines.is_empty() {
         let list = lines.join("\nNOT TESTED: ");
         // Past the test runner, which shows nothing of a test that passes.
-        writeln!(std::io::stderr(), "\nNOT TESTED: {list}").expect("standard error");
+        say::err!("\nNOT TESTED: {list}");
     }
     assert!(std::env::var_os("CI").is_none() || lines.is_empty(), "CI has to test everything");
 }
