@@ -100,6 +100,9 @@ fn text(report: &SwapReport) -> String {
     line("missed ticks", report.missed_ticks.to_string());
     let steps: Vec<String> = report.torque_step_nm.iter().map(|step| format!("{step:+.4}")).collect();
     line("torque step", format!("{} N·m", steps.join("  ")));
+    if let Some(difference) = report.torque_difference_nm.filter(|_| report.blended_ticks > 0) {
+        line("cross-fade", format!("{difference:.4} N·m over {} ticks", report.blended_ticks));
+    }
     line("ΔV in the first tick", report.delta_v.map_or("not certified".to_owned(), |v| format!("{v:+.3e}")));
     let us = |ns: Option<u64>| ns.map_or("unknown".to_owned(), |ns| format!("{:.1} us", ns as f64 * 1e-3));
     let (before, after) = (us(report.latency_before_ns), us(report.latency_after_ns));
@@ -138,9 +141,12 @@ mod tests {
             torque_step_nm: vec![0.25, -0.5],
             delta_v: Some(-1e-4),
             latency_before_ns: Some(12_300),
+            torque_difference_nm: Some(2.5),
+            blended_ticks: 20,
             ..SwapReport::default()
         };
         let text = text(&report);
+        assert!(text.contains("2.5000 N·m over 20 ticks"), "{text}");
         assert!(text.contains("+0.2500  -0.5000 N·m") && text.contains("-1.000e-4"), "{text}");
         assert!(text.contains("12.3 us before, unknown after"), "{text}");
     }

@@ -239,7 +239,7 @@ fn swaps(screen: &mut Screen, summary: &Summary) {
     let mut label = "swaps";
     for swap in &summary.swaps {
         let reason = swap.reason.as_ref().map_or_else(String::new, |reason| format!(" ({reason})"));
-        let text = format!(
+        let mut text = format!(
             "tick {}: {} {} → {}: {}{reason}, {} missed, torque step {} N·m, ΔV {}",
             swap.tick,
             swap.kind,
@@ -250,6 +250,10 @@ fn swaps(screen: &mut Screen, summary: &Summary) {
             number(swap.torque_step_nm),
             number(swap.delta_v)
         );
+        if swap.blended_ticks > 0 {
+            let difference = number(swap.torque_difference_nm);
+            let _ = write!(text, "; {difference} N·m faded over {} ticks", swap.blended_ticks);
+        }
         screen.entry(std::mem::take(&mut label), &text);
     }
 }

@@ -274,8 +274,17 @@ pub struct SwapSummary {
     pub kind: String,
     /// Ticks missed from that tick on, for 50 ms.
     pub missed_ticks: u64,
-    /// Largest step of one torque at the change, N·m.
+    /// Largest step of one joint at the change, from the torque that acted before to the first one of the new controller, N·m. Of
+    /// a swap that was refused for its step, the step it would have been.
     pub torque_step_nm: Option<f64>,
+    /// The same for each joint, with signs.
+    pub torque_steps_nm: Vec<f64>,
+    /// Largest difference of the two controllers' torques when the swap was let through, N·m: what a cross-fade fades.
+    pub torque_difference_nm: Option<f64>,
+    /// Ticks of the cross-fade.
+    pub blended_ticks: u64,
+    /// The number for which a swap was refused.
+    pub value: Option<f64>,
     /// V at the end of the first tick of the new one, less V at its start.
     pub delta_v: Option<f64>,
     /// `done`, `refused` or `rolled back`.

@@ -1,7 +1,8 @@
-//! The list of changes of the controller in charge: what each cost in ticks, torque and V.
+//! The list of changes of the controller in charge: what each cost in ticks, torque and V. The only account of them: the
+//! report, `summary.json` and the answer of `loopbound swap` say what stands here.
 
-use loopbound_shared::event::HappeningKind;
-use loopbound_shared::sample::{Happening, TickRecord};
+use loopbound_shared::event::{Decision, HappeningKind, Refusal};
+use loopbound_shared::sample::{Happening, Segment, TickRecord};
 
 use crate::event::refusal;
 use crate::summary::{SwapSummary, finite};
@@ -19,6 +20,10 @@ pub struct Swaps {
     not_listed: u64,
     last_failover: Option<(u64, u32, u32)>,
     v_at_change: Option<f64>,
+    /// The torque that acted last in the record before.
+    acting: Option<Segment>,
+    /// The last change has not acted yet.
+    awaits_torque: bool,
 }
 
 impl Swaps {
@@ -30,6 +35,7 @@ impl Swaps {
         for happening in happenings(record) {
             self.note(record, happening, v);
         }
+        self.note_torques(record);
         let watched_ticks = WATCHED_NS / period_ns.max(1);
         for swap in self.list.iter_mut().rev().take_while(|swap| record.tick.saturating_sub(swap.tick) <= watched_ticks)
         {
@@ -43,7 +49,8 @@ impl Swaps {
         let from = u32::try_from(happening.detail).unwrap_or(0);
         match HappeningKind::from_code(happening.kind) {
             Some(HappeningKind::Swap) => {
-                self.push(record, "swap", from, happening.subject, finite(happening.value), v);
+                self.push(record, "swap", from, happening.subject, v);
+                self.edit_last(|swap| swap.torque_difference_nm = finite(happening.value));
             }
             Some(HappeningKind::Failover) => {
                 let (last, this) = (self.last_failover, (record.tick, from, happening.subject));
@@ -52,7 +59,7 @@ impl Swaps {
                 let goes_on = last
                     .is_some_and(|(tick, a, b)| record.tick.saturating_sub(tick) <= 1 && (a, b) == (this.1, this.2));
                 if !goes_on {
-                    self.push(record, "failover", from, happening.subject, step(record), v);
+                    self.push(record, "failover", from, happening.subject, v);
                 }
             }
             Some(HappeningKind::Rollback) => {
@@ -62,32 +69,69 @@ impl Swaps {
                 }
             }
             Some(HappeningKind::SwapRefused) => {
-                self.push(record, "swap", record.active, happening.subject, finite(happening.value), None);
-                if let Some(swap) = self.list.last_mut() {
+                self.push(record, "swap", record.active, happening.subject, None);
+                self.awaits_torque = false;
+                let is_step = u64::from(Refusal::TorqueStep.code()) == happening.detail;
+                self.edit_last(|swap| {
                     swap.result = "refused".to_owned();
                     swap.reason = Some(refusal(happening.detail).to_owned());
-                }
+                    swap.value = finite(happening.value);
+                    swap.torque_step_nm = swap.value.filter(|_| is_step);
+                });
             }
             _ => {}
         }
     }
 
-    fn push(&mut self, record: &TickRecord, kind: &str, from: u32, to: u32, step_nm: Option<f64>, v: Option<f64>) {
+    /// The step of each joint from the torque that acted before to the first one of the new controller, and the cross-fade.
+    fn note_torques(&mut self, record: &TickRecord) {
+        let used = segments(record);
+        let mut before = self.acting;
+        if let Some(swap) = self.list.last_mut().filter(|_| self.awaits_torque) {
+            for segment in used {
+                // A standby may have stood in before it took over: its torque of then is none of the change.
+                let is_first = segment.writer == swap.to && segment.answered_tick >= swap.tick;
+                if let (true, Some(before)) = (is_first, before) {
+                    let links = usize::try_from(record.links).unwrap_or(0).min(segment.tau.len());
+                    let steps = segment.tau.iter().zip(before.tau).take(links).map(|(after, before)| after - before);
+                    swap.torque_steps_nm = steps.collect();
+                    let largest = swap.torque_steps_nm.iter().map(|step| step.abs()).reduce(f64::max);
+                    swap.torque_step_nm = largest.and_then(finite);
+                }
+                if is_first {
+                    self.awaits_torque = false;
+                    break;
+                }
+                before = Some(*segment);
+            }
+        }
+        if record.decision == Decision::Blend.code() {
+            self.edit_last(|swap| swap.blended_ticks += 1);
+        }
+        self.acting = used.last().copied().or(self.acting);
+    }
+
+    /// Changes the entry that was made last; with a full list there is none.
+    fn edit_last(&mut self, edit: impl FnOnce(&mut SwapSummary)) {
+        if let Some(swap) = self.list.last_mut().filter(|_| self.not_listed == 0) {
+            edit(swap);
+        }
+    }
+
+    fn push(&mut self, record: &TickRecord, kind: &str, from: u32, to: u32, v: Option<f64>) {
         if self.list.len() >= LISTED_MAX {
             self.not_listed += 1;
             return;
         }
         self.v_at_change = v;
+        self.awaits_torque = true;
         self.list.push(SwapSummary {
             tick: record.tick,
             from,
             to,
             kind: kind.to_owned(),
-            missed_ticks: 0,
-            torque_step_nm: step_nm,
-            delta_v: None,
             result: "done".to_owned(),
-            reason: None,
+            ..SwapSummary::default()
         });
     }
 
@@ -102,13 +146,4 @@ impl Swaps {
     pub fn not_listed(&self) -> u64 {
         self.not_listed
     }
-}
-
-/// The largest step of one torque between neighbouring segments of a tick, N·m.
-fn step(record: &TickRecord) -> Option<f64> {
-    let steps = segments(record).windows(2).map(|pair| {
-        let difference = pair[0].tau.iter().zip(&pair[1].tau).map(|(before, after)| (after - before).abs());
-        difference.fold(0.0, f64::max)
-    });
-    steps.reduce(f64::max).and_then(finite)
 }

@@ -133,6 +133,10 @@ pub struct SwapReport {
     pub missed_ticks: u64,
     /// Step of each joint's torque at the switch, N·m.
     pub torque_step_nm: Vec<f64>,
+    /// Largest difference of the two controllers' torques when the swap was let through, N·m: what a cross-fade fades.
+    pub torque_difference_nm: Option<f64>,
+    /// Ticks of the cross-fade.
+    pub blended_ticks: u64,
     /// Change of V over the first tick, in the V of the new law.
     pub delta_v: Option<f64>,
     /// Median round trip of the last 100 ms before the switch, ns.

@@ -237,16 +237,10 @@ fn only_scheduled(request: &Request) -> String {
 struct Account {
     tracker: Box<dyn Judged>,
     rows: VecDeque<(u64, Option<u64>)>,
-    first: Option<First>,
+    /// The tick in which a torque of the new controller first acted, and when it was accepted.
+    first: Option<(u64, u64)>,
     learnt: Vec<u32>,
     rows_max: usize,
-}
-
-/// The first tick of the new controller.
-struct First {
-    tick: u64,
-    torque_step_nm: Vec<f64>,
-    accepted_ns: u64,
 }
 
 /// A tracker of any number of links.
@@ -269,7 +263,8 @@ impl<const N: usize> Judged for Tracker<N> {
     }
 
     fn swap_to(&self, id: u32) -> Option<&SwapSummary> {
-        self.swaps().list().iter().rev().find(|swap| swap.to == id && swap.kind == "swap")
+        // A failover may have been faster than the gate.
+        self.swaps().list().iter().rev().find(|swap| swap.to == id)
     }
 }
 
@@ -310,28 +305,25 @@ impl Account {
     fn complete(&self, report: &mut SwapReport, asked_ns: u64, period_ns: u64) {
         if let Some(swap) = self.tracker.swap_to(report.to).filter(|swap| swap.result != "refused") {
             (report.missed_ticks, report.delta_v) = (swap.missed_ticks, swap.delta_v);
+            report.torque_step_nm.clone_from(&swap.torque_steps_nm);
+            (report.torque_difference_nm, report.blended_ticks) = (swap.torque_difference_nm, swap.blended_ticks);
         }
-        let Some(first) = &self.first else { return };
+        let Some((first, accepted_ns)) = self.first else { return };
         let compared = COMPARED_NS / period_ns;
         let round_trips = |from: u64, to: u64| {
             let within = self.rows.iter().filter(move |(tick, _)| (from..to).contains(tick));
             median(within.filter_map(|(_, round_trip_ns)| *round_trip_ns).collect())
         };
-        report.torque_step_nm.clone_from(&first.torque_step_nm);
-        report.latency_before_ns = round_trips(first.tick.saturating_sub(compared), first.tick);
-        report.latency_after_ns = round_trips(first.tick, first.tick + compared);
-        report.command_to_authority_ns = Some(first.accepted_ns.saturating_sub(asked_ns));
+        report.latency_before_ns = round_trips(first.saturating_sub(compared), first);
+        report.latency_after_ns = round_trips(first, first + compared);
+        report.command_to_authority_ns = Some(accepted_ns.saturating_sub(asked_ns));
     }
 }
 
-/// The tick in which a torque of `to` first acts, with the step from the torque before it.
-fn first_of(record: &TickRecord, to: u32) -> Option<First> {
-    let segments = segments(record);
-    let at = segments.iter().position(|segment| segment.writer == to)?;
-    let links = usize::try_from(record.links).unwrap_or(0).min(record.q.len());
-    let before = at.checked_sub(1).map(|before| segments[before].tau).unwrap_or_default();
-    let step = segments[at].tau.iter().zip(before).take(links).map(|(new, old)| new - old);
-    Some(First { tick: record.tick, torque_step_nm: step.collect(), accepted_ns: record.accepted_ns })
+/// The tick in which a torque of `to` first acts, and when it was accepted.
+fn first_of(record: &TickRecord, to: u32) -> Option<(u64, u64)> {
+    let acts = segments(record).iter().any(|segment| segment.writer == to);
+    acts.then_some((record.tick, record.accepted_ns))
 }
 
 fn median(mut values: Vec<u64>) -> Option<u64> {
@@ -342,22 +334,6 @@ fn median(mut values: Vec<u64>) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use loopbound_shared::sample::Segment;
-
-    #[test]
-    fn the_torque_step_is_that_of_each_joint_at_the_first_torque_of_the_new_one() {
-        let mut record = TickRecord { tick: 9, links: 2, segments_used: 2, accepted_ns: 70, ..TickRecord::zeroed() };
-        let segment = |writer: u32, first: f64, second: f64| {
-            let mut segment = Segment { writer, ..Segment::zeroed() };
-            segment.tau[..2].copy_from_slice(&[first, second]);
-            segment
-        };
-        record.segments[0] = segment(1, 1.0, 5.0);
-        record.segments[1] = segment(2, 1.5, 4.0);
-        let first = first_of(&record, 2).unwrap();
-        assert_eq!((first.tick, first.accepted_ns, first.torque_step_nm), (9, 70, vec![0.5, -1.0]));
-        assert!(first_of(&record, 3).is_none());
-    }
 
     #[test]
     fn the_median_of_nothing_is_nothing() {

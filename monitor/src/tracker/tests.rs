@@ -265,14 +265,54 @@ fn a_swap_carries_its_step_its_misses_and_the_reason_of_its_rollback() {
     };
     let mut tracker = tracker();
     let refused = happened(good(2), HappeningKind::SwapRefused, 3, u64::from(Refusal::TorqueStep.code()), 7.5);
-    let swap = happened(good(4), HappeningKind::Swap, 2, 1, 0.25);
+    let mut swap = happened(good(4), HappeningKind::Swap, 2, 1, 0.25);
+    // In lockstep the old torque is in the record before.
+    swap.segments[0] = Segment { tau: [0.5, -1.5, 0.0, 0.0, 0.0, 0.0, 0.0], writer: 2, ..swap.segments[0] };
     let back = happened(good(7), HappeningKind::Rollback, 1, u64::from(Refusal::Promise.code()), 0.0);
     feed_all(&mut tracker, [good(1), refused, good(3), swap, unanswered(5), unanswered(6), back, unanswered(90)]);
     let swaps = tracker.summarise().swaps;
     assert_eq!((swaps.len(), swaps[0].result.as_str(), swaps[0].torque_step_nm), (2, "refused", Some(7.5)));
     assert_eq!(swaps[0].reason.as_deref(), Some(Refusal::TorqueStep.name()));
-    assert_eq!((swaps[1].from, swaps[1].to, swaps[1].missed_ticks, swaps[1].torque_step_nm), (1, 2, 2, Some(0.25)));
+    assert_eq!((swaps[1].from, swaps[1].to, swaps[1].missed_ticks, swaps[1].torque_step_nm), (1, 2, 2, Some(1.5)));
+    assert_eq!((swaps[1].torque_steps_nm.clone(), swaps[1].torque_difference_nm), (vec![0.5, -1.5, 0.0], Some(0.25)));
     assert_eq!((swaps[1].result.as_str(), swaps[1].reason.as_deref()), ("rolled back", Some(Refusal::Promise.name())));
+}
+
+#[test]
+fn a_swap_that_was_refused_for_another_reason_took_no_step() {
+    let mut tracker = tracker();
+    let mut refused = good(2);
+    let detail = u64::from(Refusal::OutsideLevel.code());
+    refused.happenings[0] = Happening { kind: HappeningKind::SwapRefused.code(), subject: 3, detail, value: 7.5 };
+    refused.happenings_used = 1;
+    feed_all(&mut tracker, [good(1), refused, good(3)]);
+    let swaps = tracker.summarise().swaps;
+    assert_eq!((swaps[0].torque_step_nm, swaps[0].value), (None, Some(7.5)));
+}
+
+#[test]
+fn the_step_of_a_change_is_to_its_first_own_torque_also_where_that_acts_later() {
+    let tau = |first: f64| [first, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+    let acting = |tick: u64, segments: &[(u32, u64, f64)]| {
+        let mut record = good(tick);
+        for (place, (writer, answered_tick, first)) in record.segments.iter_mut().zip(segments) {
+            *place = Segment { writer: *writer, answered_tick: *answered_tick, tau: tau(*first), ..*place };
+        }
+        record.segments_used = u32::try_from(segments.len()).unwrap();
+        record
+    };
+    // Controller 2 had stood in before; it takes over in tick 5, and the way to the actuator takes one and a half ticks.
+    let mut swap = acting(5, &[(2, 3, 9.0), (1, 4, 1.0)]);
+    swap.happenings[0] = Happening { kind: HappeningKind::Swap.code(), subject: 2, detail: 1, value: 4.0 };
+    swap.happenings_used = 1;
+    swap.decision = Decision::Blend.code();
+    let mut fading = acting(6, &[(1, 4, 1.0), (2, 5, 1.25)]);
+    fading.decision = Decision::Blend.code();
+    let mut tracker = tracker();
+    feed_all(&mut tracker, [acting(4, &[(2, 3, 9.0)]), swap, fading, acting(7, &[(2, 6, 5.0)])]);
+    let swap = &tracker.summarise().swaps[0];
+    assert_eq!((swap.torque_step_nm, swap.torque_steps_nm.first(), swap.blended_ticks), (Some(0.25), Some(&0.25), 2));
+    assert_eq!(swap.torque_difference_nm, Some(4.0));
 }
 
 #[test]
