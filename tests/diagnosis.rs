@@ -3,10 +3,13 @@
 
 use loopbound::inprocess::InProcess;
 use loopbound::study::measure::tracker_config;
+use loopbound_controller::{Builtin, ControllerCore};
 use loopbound_monitor::Summary;
 use loopbound_monitor::judge::Judge;
 use loopbound_monitor::tracker::Tracker;
 use loopbound_monitor::verdict::judge_summary;
+use loopbound_shared::cast;
+use loopbound_shared::realtime::Privileges;
 use loopbound_shared::scenario::Scenario;
 
 /// The paper's case in lockstep with some settings.
@@ -25,6 +28,10 @@ fn run(scenario: &Scenario) -> (Summary, Vec<(u64, String)>) {
     let judge = Judge::new(scenario).expect("a system");
     let mut tracker = Tracker::<3>::new(tracker_config(scenario), Some(judge));
     let mut named = Vec::new();
+    for part in cast::controllers(scenario) {
+        let controller = Builtin::<3>::new(scenario, part.law).expect("a law");
+        tracker.learn(&ControllerCore::new(scenario, part.id, controller).announcement(Privileges::default()));
+    }
     InProcess::<3>::new(scenario).expect("a system").run(|record| {
         tracker.feed(record);
         for event in tracker.drain_events() {
@@ -136,6 +143,28 @@ fn a_declared_delay_is_no_fault_and_before_the_first_torque_nothing_is_checked()
         let without = summary.ticks - summary.bound.checked;
         assert!((1..=5).contains(&without), "{delay}: {without} ticks before the first torque");
     }
+}
+
+#[test]
+fn the_figures_of_two_laws_are_never_mixed() {
+    let toml = "[[swap]]\nat = 1000\nlaw = \"ctc\"\n";
+    let (summary, _) = run(&with_toml(&[], toml));
+    let laws = &summary.bound.laws;
+    let named: Vec<(Option<&str>, &[u32], u64)> =
+        laws.iter().map(|of| (of.bound.law.as_deref(), &of.controllers[..], of.ticks)).collect();
+    assert_eq!(named, [(Some("robust"), &[1][..], 1000), (Some("ctc"), &[2], 1000)]);
+    assert_eq!((laws[0].first_tick, laws[0].last_tick, laws[1].first_tick), (Some(0), Some(999), Some(1000)));
+    // Alone, each has the figures that it has here.
+    let (alone, _) = run(&scenario(&["loop.duration=1s"]));
+    assert_eq!((laws[0].bound.psi_max, laws[0].bound.v_start), (alone.bound.psi_max, alone.bound.v_start));
+    assert_eq!((laws[0].bound.c1, laws[0].bound.uub_radius), (alone.bound.c1, alone.bound.uub_radius));
+    assert_eq!((summary.bound.law.as_deref(), summary.bound.c1), (Some("ctc"), laws[1].bound.c1));
+    assert_eq!(summary.bound.v_max, laws[1].bound.v_max, "V of the law in charge last, not the larger of two");
+    assert_eq!(summary.bound.checked, laws[0].bound.checked + laws[1].bound.checked);
+    // Back to a law that was known already is no third one.
+    let (back, _) = run(&with_toml(&[], "[[swap]]\nat = 500\nlaw = \"ctc\"\n[[swap]]\nat = 1000\nlaw = \"robust\"\n"));
+    let named: Vec<(&[u32], u64)> = back.bound.laws.iter().map(|of| (&of.controllers[..], of.ticks)).collect();
+    assert_eq!(named, [(&[1, 3][..], 1500), (&[2], 500)]);
 }
 
 /// Torques that come too late to act at all: the plant holds, then damps by itself.

@@ -1,5 +1,7 @@
 //! What a monitor notes besides figures: one small value an event, one line of JSON in `events.jsonl`.
 
+pub mod words;
+
 use std::collections::BTreeMap;
 
 use loopbound_shared::event::{Acceptance, Decision, HappeningKind, LiveFault, Refusal};
@@ -152,6 +154,7 @@ impl Event {
                 put("subject", json!(happening.subject));
                 put("detail", json!(happening.detail));
                 put("value", json!(happening.value));
+                put("text", json!(words::words(happening)));
                 let kind = HappeningKind::from_code(happening.kind);
                 if matches!(kind, Some(HappeningKind::Rollback | HappeningKind::SwapRefused)) {
                     put("reason", json!(refusal(happening.detail)));

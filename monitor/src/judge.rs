@@ -4,10 +4,11 @@
 //! checked, and not counted as checked: ticks at rest, ticks before the first torque has acted (nothing answers a sample
 //! there), ticks whose torques come from two laws (a swap, a blend), and whatever has no certificate.
 
+mod figures;
+
 use loopbound_shared::bound::certificate::{Certificate, Gains, StartError, certificate, certify};
 use loopbound_shared::bound::diagnose::{Diagnosis, IntervalDiagnosis, Segment, Verdict};
 use loopbound_shared::bound::envelope::{Assumptions, Envelope};
-use loopbound_shared::bound::stability::sampling_budget;
 use loopbound_shared::chain::Chain;
 use loopbound_shared::event::{Decision, Role};
 use loopbound_shared::integrator::PlantState;
@@ -18,7 +19,9 @@ use loopbound_shared::system;
 use loopbound_shared::trajectory::SetpointValue;
 use loopbound_shared::truth::Truth;
 
+use self::figures::Figures;
 use crate::event::{EventKind, EventLog};
+use crate::members::name_of;
 use crate::summary::{BoundSummary, finite};
 use crate::tracker::segments;
 
@@ -35,6 +38,16 @@ struct Claim<const N: usize> {
     law: Law<N>,
     certificate: Certificate,
     shortfalls: Vec<String>,
+}
+
+/// What one controller said of itself.
+#[derive(Clone, Debug)]
+struct Said<const N: usize> {
+    id: u32,
+    /// Its law, if it announced one.
+    claim: Option<Claim<N>>,
+    /// What it calls itself.
+    name: String,
 }
 
 /// Checks the bound of a group with N links.
@@ -54,10 +67,13 @@ pub struct Judge<const N: usize> {
     /// The scenario's own law, and the controllers that have it unless they say otherwise.
     own: Option<Claim<N>>,
     own_ids_max: u32,
-    claims: Vec<(u32, Option<Claim<N>>)>,
+    claims: Vec<Said<N>>,
     samples: Box<[Option<(u64, Sample<N>)>]>,
     before: Option<Before>,
-    figures: Figures,
+    /// The controller in charge, and whether V is outside its law's level.
+    active: u32,
+    outside: bool,
+    figures: Figures<N>,
 }
 
 /// A sample as the controllers got it, with the setpoint that the accepted torque used and the one of the tick.
@@ -78,36 +94,6 @@ struct Before {
     v_bound: f64,
     checked: bool,
 }
-
-#[derive(Clone, Copy, Debug, Default)]
-struct Figures {
-    active: u32,
-    checked: u64,
-    promises: u64,
-    violations: u64,
-    delay_aware: u64,
-    promise: u64,
-    verdicts: [u64; VERDICTS.len()],
-    outside: bool,
-    v_start: Option<f64>,
-    v_max: Option<f64>,
-    v_final: Option<f64>,
-    psi_max: Option<f64>,
-    slack_min: Option<f64>,
-    slack_sum: f64,
-    w_max_settled: Option<f64>,
-}
-
-const VERDICTS: [(Verdict, &str); 8] = [
-    (Verdict::Certified, "certified"),
-    (Verdict::Latency, "latency"),
-    (Verdict::DesignedHold, "designed_hold"),
-    (Verdict::Fallback, "fallback"),
-    (Verdict::ControllerFault, "controller_fault"),
-    (Verdict::UncertaintyExceeded, "uncertainty_exceeded"),
-    (Verdict::OutsideLevel, "outside_level"),
-    (Verdict::NotCertified, "not_certified"),
-];
 
 /// V and what was promised for it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -151,6 +137,8 @@ impl<const N: usize> Judge<N> {
             claims: Vec::with_capacity(CLAIMS_MAX),
             samples: vec![None; SAMPLES].into_boxed_slice(),
             before: None,
+            active: 0,
+            outside: false,
             figures: Figures::default(),
         };
         let law = scenario.controller.law;
@@ -181,15 +169,15 @@ impl<const N: usize> Judge<N> {
         }
         let kind = usize::try_from(announce.law).ok().and_then(|code| LawKind::ALL.get(code.checked_sub(1)?));
         let claim = kind.map(|kind| self.claim_of(*kind, announce));
-        let known = self.claims.iter().position(|(id, _)| *id == announce.id);
-        match known {
-            Some(at) => self.claims[at].1 = claim,
+        let said = Said { id: announce.id, claim, name: name_of(announce) };
+        match self.claims.iter().position(|known| known.id == announce.id) {
+            Some(at) => self.claims[at] = said,
             None => {
                 // Numbers are never given twice, so the oldest is the likeliest to be gone.
                 if self.claims.len() == CLAIMS_MAX {
                     self.claims.remove(0);
                 }
-                self.claims.push((announce.id, claim));
+                self.claims.push(said);
             }
         }
     }
@@ -214,20 +202,24 @@ impl<const N: usize> Judge<N> {
     }
 
     fn claim_for(&self, id: u32) -> Option<&Claim<N>> {
-        match self.claims.iter().find(|(known, _)| *known == id) {
-            Some((_, claim)) => claim.as_ref(),
-            None => self.own.as_ref().filter(|_| (1..=self.own_ids_max).contains(&id)),
-        }
+        claim_in(&self.claims, self.own.as_ref(), self.own_ids_max, id)
     }
 
     /// Judges the tick of a record.
     pub fn feed(&mut self, record: &TickRecord, events: &mut EventLog) -> Judged {
         let x = true_input::<N>(record);
         self.remember(record);
-        let active = if record.active == 0 { self.figures.active } else { record.active };
-        self.figures.active = active;
+        let active = if record.active == 0 { self.active } else { record.active };
+        self.active = active;
         // With nobody in charge yet, V is that of the scenario's law.
-        let claim = if active == 0 { self.own.as_ref() } else { self.claim_for(active) };
+        let (own, said) = (self.own.as_ref(), self.claims.iter().find(|said| said.id == active));
+        let claim = if active == 0 { own } else { claim_in(&self.claims, own, self.own_ids_max, active) };
+        self.figures.turn_to(active, claim, said.map(|said| said.name.as_str()));
+        if record.flags & record_flag::AT_REST == 0
+            && let Some(of) = self.figures.current()
+        {
+            of.note_tick(record.tick);
+        }
         let Some(claim) = claim else {
             self.before = None;
             return Judged::default();
@@ -343,22 +335,21 @@ impl<const N: usize> Judge<N> {
         x: &LawInput<N>,
         events: &mut EventLog,
     ) {
-        let figures = &mut self.figures;
         let level = certificate.level;
         // At rest the setpoint may not have come yet, and V says nothing of the law.
         if record.flags & record_flag::AT_REST != 0 {
             return;
         }
-        figures.v_start = figures.v_start.or(finite(v));
-        figures.v_max = largest(figures.v_max, v);
-        figures.v_final = finite(v);
-        let outside = v.is_nan() || v > level;
-        if outside != figures.outside {
-            figures.outside = outside;
-            events.push(record.tick, record.start_plant_ns, EventKind::Level { v, level, inside: !outside });
+        if let Some(of) = self.figures.current() {
+            of.note_v(v);
+            if record.start_plant_ns >= self.settle_ns {
+                of.note_w(certificate.w_of(x));
+            }
         }
-        if record.start_plant_ns >= self.settle_ns && record.flags & record_flag::AT_REST == 0 {
-            figures.w_max_settled = largest(figures.w_max_settled, certificate.w_of(x));
+        let outside = v.is_nan() || v > level;
+        if outside != self.outside {
+            self.outside = outside;
+            events.push(record.tick, record.start_plant_ns, EventKind::Level { v, level, inside: !outside });
         }
     }
 
@@ -371,34 +362,20 @@ impl<const N: usize> Judge<N> {
         events: &mut EventLog,
     ) {
         debug_assert!(certificate.is_certified(), "only checked ticks promise");
-        let figures = &mut self.figures;
         let slack = before.v_bound - v;
-        figures.promises += 1;
-        figures.slack_min = Some(figures.slack_min.map_or(slack, |least| least.min(slack)));
-        figures.slack_sum += slack;
         // The tolerance of the diagnosis; a V that is not a number breaks every promise.
-        if slack.is_nan() || slack < -1e-6 * (1.0 + before.v) {
-            figures.promise += 1;
+        let broken = slack.is_nan() || slack < -1e-6 * (1.0 + before.v);
+        self.figures.note_promise(slack, broken);
+        if broken {
             let kind = EventKind::Promise { v, v_bound: before.v_bound };
             events.push(record.tick, record.start_plant_ns, kind);
         }
     }
 
     fn note_diagnosis(&mut self, record: &TickRecord, found: &IntervalDiagnosis<N>, events: &mut EventLog) {
-        let figures = &mut self.figures;
-        figures.checked += 1;
-        figures.psi_max = largest(figures.psi_max, found.psi_max);
-        let (at, name) = VERDICTS
-            .iter()
-            .enumerate()
-            .find(|(_, (verdict, _))| *verdict == found.verdict)
-            .map_or((VERDICTS.len() - 1, "not_certified"), |(at, (_, name))| (at, *name));
-        figures.verdicts[at] += 1;
-        if found.verdict.is_violation() {
-            figures.violations += 1;
-            figures.delay_aware += u64::from(!found.verdict.is_explained_by_delay());
-            let int_f = found.int_f_own + found.int_f;
-            let kind = EventKind::Bound { verdict: name, x: found.x, int_l: found.int_l, int_f };
+        if self.figures.note_diagnosis(found) {
+            let (verdict, int_f) = (figures::name_of(found.verdict), found.int_f_own + found.int_f);
+            let kind = EventKind::Bound { verdict, x: found.x, int_l: found.int_l, int_f };
             events.push(record.tick, record.start_plant_ns, kind);
         }
     }
@@ -406,47 +383,12 @@ impl<const N: usize> Judge<N> {
     /// The figures so far. `loop_latency_ns`: p99.9 of deadline → torque.
     #[must_use]
     pub fn summary(&self, period_ns: u64, loop_latency_ns: Option<f64>) -> BoundSummary {
-        let figures = &self.figures;
-        let claim = if figures.active == 0 { self.own.as_ref() } else { self.claim_for(figures.active) };
-        let verdicts =
-            VERDICTS.iter().zip(figures.verdicts).map(|((_, name), count)| ((*name).to_owned(), count)).collect();
-        let mut summary = BoundSummary {
-            checked: figures.checked,
-            violations: figures.violations,
-            violations_delay_aware: figures.delay_aware,
-            violations_promise: figures.promise,
-            verdicts,
-            v_start: figures.v_start,
-            v_max: figures.v_max,
-            v_final: figures.v_final,
-            psi_max: figures.psi_max,
-            slack_min: figures.slack_min.and_then(finite),
-            slack_mean: if figures.promises > 0 { finite(figures.slack_sum / figures.promises as f64) } else { None },
-            w_norm_max_settled: figures.w_max_settled,
-            ..BoundSummary::default()
-        };
-        let Some(claim) = claim else { return summary };
-        let certificate = &claim.certificate;
-        summary.law = Some(claim.law.kind.name().to_owned());
-        summary.certified = certificate.is_certified();
-        summary.shortfalls.clone_from(&claim.shortfalls);
-        summary.level = finite(certificate.level);
-        summary.k_t = finite(claim.law.k_t).filter(|_| claim.law.kind != LawKind::Ctc);
-        summary.kappa = finite(certificate.kappa).filter(|_| claim.law.kind != LawKind::Ctc);
-        if certificate.is_certified() {
-            summary.alpha = finite(certificate.alpha);
-            summary.epsilon = finite(certificate.epsilon);
-            summary.c1 = finite(certificate.psi_allowed());
-            summary.uub_radius = finite(certificate.w_norm);
-            summary.ultimate_bound = finite(certificate.ultimate_e);
-        }
+        let mut summary = self.figures.summary(self.own.as_ref());
+        let claim = if self.active == 0 { self.own.as_ref() } else { self.claim_for(self.active) };
         let delay_ns = loop_latency_ns.map(|ns| ns + self.actuation_delay_ns as f64);
-        summary.loop_latency_ns = delay_ns;
-        if let Some(delay_ns) = delay_ns
-            && let Some(budget) = sampling_budget(certificate, period_ns as f64 * 1e-9, delay_ns * 1e-9)
-        {
-            summary.budget_used = finite(budget.used);
-            summary.delay_margin_ns = finite(budget.delay_margin_s * 1e9);
+        if let Some(claim) = claim {
+            summary.loop_latency_ns = delay_ns;
+            figures::put_budget(&mut summary, &claim.certificate, period_ns, delay_ns);
         }
         summary
     }
@@ -455,6 +397,19 @@ impl<const N: usize> Judge<N> {
     #[must_use]
     pub fn true_chain(&self) -> &Chain<N> {
         &self.truth.chain
+    }
+}
+
+/// The claim of a controller: its own, or the scenario's for those that have its law unless they say otherwise.
+fn claim_in<'a, const N: usize>(
+    claims: &'a [Said<N>],
+    own: Option<&'a Claim<N>>,
+    own_ids_max: u32,
+    id: u32,
+) -> Option<&'a Claim<N>> {
+    match claims.iter().find(|said| said.id == id) {
+        Some(said) => said.claim.as_ref(),
+        None => own.filter(|_| (1..=own_ids_max).contains(&id)),
     }
 }
 
@@ -475,10 +430,4 @@ fn true_input<const N: usize>(record: &TickRecord) -> LawInput<N> {
         v_d: to_vector(&record.v_d),
         a_d: to_vector(&record.a_d),
     }
-}
-
-/// The larger one; what is not finite counts as infinite and ends as `null`.
-fn largest(so_far: Option<f64>, value: f64) -> Option<f64> {
-    let value = if value.is_nan() { f64::INFINITY } else { value };
-    Some(so_far.map_or(value, |most| most.max(value)))
 }

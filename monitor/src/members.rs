@@ -60,13 +60,18 @@ impl Member {
     }
 }
 
-fn summary(announce: &Announce) -> ProcessSummary {
+/// What a process calls itself: its law, its executable, or whatever a controller of one's own says.
+pub(crate) fn name_of(announce: &Announce) -> String {
     let end = announce.name.iter().position(|byte| *byte == 0).unwrap_or(announce.name.len());
+    String::from_utf8_lossy(&announce.name[..end]).into_owned()
+}
+
+fn summary(announce: &Announce) -> ProcessSummary {
     ProcessSummary {
         role: Role::from_code(announce.role).map_or("unknown", Role::name).to_owned(),
         id: announce.id,
         pid: announce.pid,
-        name: String::from_utf8_lossy(&announce.name[..end]).into_owned(),
+        name: name_of(announce),
         phase: Phase::from_code(announce.phase).map_or("unknown", Phase::name).to_owned(),
         privileges: serde_json::to_value(announce.privileges).unwrap_or_default(),
         missing: missing_privileges(&announce.privileges),

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use crate::cause::words_of;
 use crate::hops::Hop;
-use crate::summary::{BoundSummary, Quantiles, Summary};
+use crate::summary::{BoundSummary, LawSummary, Quantiles, Summary};
 
 /// The report, at most `width` (at least 60, at most 100) columns wide; `colour` only on a terminal.
 #[must_use]
@@ -67,12 +67,13 @@ const LABEL: usize = 18;
 fn headline(screen: &mut Screen, summary: &Summary) {
     let status = summary.verdict.status.to_uppercase();
     let paint = match summary.verdict.headline() {
-        headline if headline.is_good() => "1;32",
+        // Green beside a reason against it would contradict itself.
+        headline if headline.is_good() && summary.verdict.reasons.is_empty() => "1;32",
         headline if headline.is_bad() => "1;31",
         _ => "1;33",
     };
     let rate = summary.rate_hz.map_or_else(|| "?".to_owned(), hertz);
-    let law = summary.bound.law.as_deref().unwrap_or("no announced law");
+    let law = summary.bound.whose();
     let what = format!("{law}, n = {}, {rate} {}, {:.3} s", summary.links, summary.mode, summary.duration_s);
     screen.painted(&format!("{status}: {what}"), paint);
     for reason in &summary.verdict.reasons {
@@ -171,6 +172,38 @@ fn control(screen: &mut Screen, summary: &Summary) {
 
 fn bound(screen: &mut Screen, summary: &Summary) {
     let bound = &summary.bound;
+    // Figures of two laws are never mixed: each has its own V.
+    if bound.laws.len() > 1 {
+        for of in &bound.laws {
+            screen.entry("law", &turn(of));
+            of_one_law(screen, &of.bound);
+        }
+    } else {
+        of_one_law(screen, bound);
+    }
+    let text = match bound.budget_used {
+        Some(used) => format!(
+            "{:.1} % of what sampling allows is used by the period of {} and a latency of {} (p99.9), margin {}",
+            used * 100.0,
+            time(summary.rate_hz.map(|rate_hz| 1e9 / rate_hz)),
+            time(bound.loop_latency_ns),
+            time(bound.delay_margin_ns)
+        ),
+        None => "not known for this law".to_owned(),
+    };
+    screen.entry("latency budget", &text);
+}
+
+/// Who had a law, and when.
+fn turn(of: &LawSummary) -> String {
+    let ids: Vec<String> = of.controllers.iter().map(u32::to_string).collect();
+    let who = if ids.len() == 1 { "controller" } else { "controllers" };
+    let span = of.first_tick.zip(of.last_tick);
+    let span = span.map_or_else(String::new, |(first, last)| format!(", between ticks {first} and {last}"));
+    format!("{}, {who} {}: in charge of {} ticks{span}", of.bound.whose(), ids.join(", "), of.ticks)
+}
+
+fn of_one_law(screen: &mut Screen, bound: &BoundSummary) {
     let text = format!(
         "{} at first, max {}, {} at the end; certified level c = {}",
         number(bound.v_start),
@@ -203,17 +236,6 @@ fn bound(screen: &mut Screen, summary: &Summary) {
         );
         screen.entry("assumptions", &text);
     }
-    let text = match bound.budget_used {
-        Some(used) => format!(
-            "{:.1} % of what sampling allows is used by the period of {} and a latency of {} (p99.9), margin {}",
-            used * 100.0,
-            time(summary.rate_hz.map(|rate_hz| 1e9 / rate_hz)),
-            time(bound.loop_latency_ns),
-            time(bound.delay_margin_ns)
-        ),
-        None => "not known for this law".to_owned(),
-    };
-    screen.entry("latency budget", &text);
 }
 
 /// What explains the ticks that broke the bound, in the order in which the diagnosis asks.
@@ -378,6 +400,37 @@ mod tests {
             assert!(!text.contains('\x1b'));
         }
         assert!(render(&full(), 100, true).starts_with("\x1b[1;32mHELD"));
+    }
+
+    #[test]
+    fn a_run_under_two_laws_shows_the_figures_of_each_with_its_ticks() {
+        let mut summary = full();
+        let of = |law: &str, controller: u32, c1: f64| LawSummary {
+            controllers: vec![controller],
+            ticks: 500,
+            first_tick: Some(1),
+            last_tick: Some(500),
+            bound: BoundSummary { law: Some(law.to_owned()), checked: 500, c1: Some(c1), ..BoundSummary::default() },
+        };
+        summary.bound =
+            BoundSummary { laws: vec![of("robust", 1, 40.0), of("ctc", 2, 7.5)], ..of("ctc", 2, 7.5).bound };
+        let text = render(&summary, 100, false);
+        for part in ["robust, controller 1: in charge of 500 ticks", "C1 = 40.0000", "ctc, controller 2", "C1 = 7.5000"]
+        {
+            assert_eq!(text.matches(part).count(), 1, "{part}: {text}");
+        }
+    }
+
+    #[test]
+    fn a_controller_of_ones_own_is_shown_by_its_name() {
+        let mut summary = full();
+        assert!(render(&summary, 100, false).contains("HELD: no announced law"));
+        summary.bound.name = Some("my pd".to_owned());
+        assert!(render(&summary, 100, false).contains("HELD: my pd (announced no law), n = 3"));
+        summary.bound.law = Some("pd+g".to_owned());
+        assert!(render(&summary, 100, false).contains("HELD: pd+g (my pd), n = 3"));
+        summary.bound.name = summary.bound.law.clone();
+        assert!(render(&summary, 100, false).contains("HELD: pd+g, n = 3"));
     }
 
     #[test]

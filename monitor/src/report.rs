@@ -14,6 +14,7 @@ use loopbound_shared::sample::{Links, TickRecord};
 use serde::Serialize;
 use serde_json::{Value, json};
 
+use crate::event::words::complete;
 use crate::hops::Hop;
 use crate::recording::proto::Figures;
 use crate::recording::reader::{Item, ReadError, Recording};
@@ -88,8 +89,9 @@ fn read_events(path: &Path) -> io::Result<(Vec<Value>, u64)> {
     let Ok(file) = fs::File::open(path) else { return Ok((events, 0)) };
     for line in BufReader::new(file).lines() {
         // A line that a crash has cut off is no event.
-        let Ok(event) = serde_json::from_str(&line?) else { continue };
+        let Ok(mut event) = serde_json::from_str(&line?) else { continue };
         if events.len() < EVENTS_MAX {
+            complete(&mut event);
             events.push(event);
         } else {
             left_out += 1;

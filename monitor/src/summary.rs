@@ -176,12 +176,32 @@ pub struct Jitter {
     pub deviation_p99_9: Option<f64>,
 }
 
-/// The bound. Numbers in brackets are the equations of `docs/model-and-bound.md`.
+/// What was seen under one law.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct LawSummary {
+    /// The controllers that had it.
+    pub controllers: Vec<u32>,
+    /// Ticks for which they were in charge; those at rest are left out.
+    pub ticks: u64,
+    /// The first of them …
+    pub first_tick: Option<u64>,
+    /// … and the last; others may have been in charge between them.
+    pub last_tick: Option<u64>,
+    /// The figures of these ticks alone.
+    #[serde(flatten)]
+    pub bound: BoundSummary,
+}
+
+/// The bound. Numbers in brackets are the equations of `docs/model-and-bound.md`. Counts are those of the run; V, what is
+/// certified and what was observed of it are those of the law in charge last, and of each law in `laws`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct BoundSummary {
     /// Law of the controller in charge at the end; none for an unknown one.
     pub law: Option<String>,
+    /// What that controller calls itself.
+    pub name: Option<String>,
     /// Whether that law with its gains is certified for the scenario's start.
     pub certified: bool,
     /// Requirements that are not met.
@@ -234,9 +254,23 @@ pub struct BoundSummary {
     pub budget_used: Option<f64>,
     /// The loop latency that it is computed from, ns.
     pub loop_latency_ns: Option<f64>,
+    /// The figures of each law, in the order in which they first were in charge.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub laws: Vec<LawSummary>,
 }
 
 impl BoundSummary {
+    /// The law, with what its controller calls itself where that is something else.
+    #[must_use]
+    pub fn whose(&self) -> String {
+        match (&self.law, &self.name) {
+            (Some(law), Some(name)) if law != name && !name.is_empty() => format!("{law} ({name})"),
+            (Some(law), _) => law.clone(),
+            (None, Some(name)) if !name.is_empty() => format!("{name} (announced no law)"),
+            (None, _) => "no announced law".to_owned(),
+        }
+    }
+
     /// Checked ticks of a verdict.
     #[must_use]
     pub fn verdicts(&self, name: &str) -> u64 {

@@ -22,6 +22,7 @@ mod stopped;
 mod strangers;
 mod streams;
 mod studies;
+mod swaps;
 mod usage;
 mod users;
 mod verdicts;

@@ -30,6 +30,7 @@ fn time(time_ns: u64) -> Value {
 #[must_use]
 pub fn log_line(event: &Event, time_ns: u64) -> String {
     let level = match event.kind {
+        EventKind::Bound { verdict: "designed_hold", .. } => INFO,
         EventKind::FirstSeen | EventKind::Happening(_) | EventKind::Level { inside: true, .. } => INFO,
         EventKind::Bound { .. } | EventKind::Promise { .. } => ERROR,
         EventKind::Late { .. }

@@ -10,6 +10,7 @@ use ratatui::widgets::canvas::{Canvas, Circle, Line as Stroke};
 use ratatui::widgets::{Axis, Block, Cell, Chart, Clear, Dataset, GraphType, List, ListItem, Paragraph, Row, Table};
 
 use super::model::{FAULTS, Model, STRIP_S};
+use crate::event::words::words;
 use crate::event::{Event, EventKind, cause_of, fault};
 use crate::hops::Hop;
 use crate::recording::scene::joints;
@@ -168,6 +169,7 @@ fn events<const N: usize>(frame: &mut Frame, area: Rect, model: &Model<N>) {
     let room = usize::from(area.height.saturating_sub(2));
     let lines = model.events.iter().rev().take(room).map(|event| {
         let colour = match event.kind {
+            EventKind::Bound { verdict: "designed_hold", .. } => Color::Reset,
             EventKind::Bound { .. } | EventKind::Promise { .. } => Color::Red,
             EventKind::Late { .. } | EventKind::Missed { .. } | EventKind::Gap { .. } => Color::Yellow,
             _ => Color::Reset,
@@ -183,10 +185,11 @@ fn describe(event: &Event) -> String {
         EventKind::Missed { ticks, .. } if *ticks > 1 => format!(", {ticks} ticks"),
         EventKind::Gap { ticks } => format!(", {ticks} records"),
         EventKind::Late { deadline_to_torque_ns, .. } => format!(", {:.0} µs", *deadline_to_torque_ns as f64 * 1e-3),
+        // A list is narrow: the shorter form, and of the others their beginning.
         EventKind::Happening(happening) if happening.kind == HappeningKind::FaultInjected.code() => {
             format!(", {}, {}", fault(happening.detail), happening.subject)
         }
-        EventKind::Happening(happening) if happening.subject != 0 => format!(", {}", happening.subject),
+        EventKind::Happening(happening) => format!(", {}", words(happening)),
         EventKind::Bound { verdict, .. } => format!(", {}", verdict.replace('_', " ")),
         _ => String::new(),
     };
