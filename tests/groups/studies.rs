@@ -38,19 +38,20 @@ fn a_short_study_measures_real_groups_and_writes_what_it_found() {
     case.write("out/recommended.toml", "what an earlier study left");
     // Limits that every machine keeps, so that something is recommended even on a busy one.
     let two = ["--wakeups", "hybrid,block", "--privileges", "without", "--missed-max", "100%", "--cpu-max", "1000%"];
-    let running = start(&case, &[&two[..], &SHORT].concat());
+    // Long enough for the intervals without which nothing is recommended.
+    let running = start(&case, &[&two[..], &["--duration", "2400ms", "--rounds", "1"]].concat());
     let study = running.pid();
     let ended = running.wait();
     assert!(matches!(ended.code, Some(0 | 3)), "{ended:?}");
-    assert!(ended.err.contains("2 cases in 1 round(s) of 500ms"), "{}", ended.err);
+    assert!(ended.err.contains("2 cases in 1 round(s) of 2400ms"), "{}", ended.err);
     let report = table(&case);
     let rows = report["rows"].as_array().expect("rows");
     assert_eq!(rows.len(), 2);
     for row in rows {
         assert_eq!((&row["runs"], &row["rate_hz"]), (&Value::from(1), &Value::from(1000.0)), "{row}");
-        // Half a second less the start-up; a busy machine may skip most of the rest, but not all.
+        // All but the start-up; a busy machine may skip most of the rest, but not all.
         let n = row["latency_ns"]["deadline_to_torque"]["n"].as_u64().expect("a count");
-        assert!((1..=420).contains(&n), "{row}");
+        assert!((1..=2320).contains(&n), "{row}");
         assert!(row["cpu"].as_f64().is_some_and(|cpu| cpu > 0.0), "{row}");
         assert!(row["cpu_by_role"]["plant"].as_f64().is_some_and(|cpu| cpu > 0.0), "{row}");
     }
@@ -74,6 +75,21 @@ fn check_recommendation(case: &Case, report: &Value, file: &Path) {
     let (found, promised) = (found.expect("‖W‖ of the file"), promised.expect("‖W‖ of the table"));
     assert!((found / promised - 1.0).abs() < 1e-9, "{found} {promised}");
     assert_eq!(report["check"]["row"]["wakeup"], setting["wakeup"]);
+}
+
+#[test]
+fn a_study_of_half_a_second_recommends_nothing_and_says_why() {
+    let case = Case::apart("few-data-study");
+    let limits = ["--missed-max", "100%", "--cpu-max", "1000%", "--privileges", "without", "--wakeups", "hybrid,block"];
+    let running = start(&case, &[&limits[..], &SHORT].concat());
+    let study = running.pid();
+    running.wait();
+    let report = table(&case);
+    assert!(report["advice"]["choice"].is_null(), "{}", report["advice"]);
+    let words = report["advice"]["rates"][0]["words"].as_str().expect("words");
+    assert!(words.contains("too few data") || words.contains("so few data"), "{words}");
+    assert!(!case.work.path().join("out/recommended.toml").exists());
+    assert_nothing_left(&case, study);
 }
 
 #[test]

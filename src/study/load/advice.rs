@@ -3,7 +3,8 @@
 //!
 //! A setting is judged by its worst load, since nobody chooses what else will run. It is feasible if under every load
 //! something is certified at its latency, and misses and CPU stay within their limits. Two settings whose ratio of
-//! latencies has 1 in its interval can't be told apart by these data: then the one that takes less CPU is taken.
+//! latencies has 1 in its interval can't be told apart by these data: then the one that takes less CPU is taken. Where there
+//! are too few data for an interval, nothing is recommended: one slow tick more or less would turn it over.
 
 use serde::Serialize;
 
@@ -14,6 +15,9 @@ use crate::background::Kind;
 
 /// Two values of ‖W‖ this close, relative, are the same: searched on the same grid for the same delay.
 const SAME_W: f64 = 1e-9;
+
+/// Against a setting whose latency has no interval.
+const TOO_FEW_DATA: &str = "too few data for an interval of its latency";
 
 /// What a setting must keep.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -71,6 +75,11 @@ impl Setting {
         self.against.is_empty()
     }
 
+    /// Whether more data alone could make it feasible.
+    fn wants_data(&self) -> bool {
+        !self.against.is_empty() && self.against.iter().all(|why| why.starts_with(TOO_FEW_DATA))
+    }
+
     fn figures(&self, quantile: Quantile, load: &str) -> String {
         format!(
             "deadline → torque {} {} (worst load: {load}), {} of ticks missed, {} of a core",
@@ -93,6 +102,8 @@ pub struct AtRate {
     pub runner_up: Option<(usize, Ratio)>,
     /// Whether the best one differs from all others by more than chance.
     pub clear: bool,
+    /// Whether too few data are why nothing is chosen.
+    pub too_few_data: bool,
     /// All of this in words.
     pub words: String,
 }
@@ -202,6 +213,7 @@ fn setting(rows: &[Row], group: &[usize], limits: Limits) -> Setting {
         };
         under("not measured", |row| row.latency.is_none());
         under("nothing is certified at its latency", |row| row.latency.is_some() && row.w_norm.is_none());
+        under(TOO_FEW_DATA, |row| row.latency.is_some_and(|l| l.lower_ns.is_none() || l.upper_ns.is_none()));
     }
     if let Some(missed) = missed.filter(|missed| *missed > limits.missed_max) {
         let most = percent(Some(limits.missed_max));
@@ -240,14 +252,29 @@ fn at_rate(
     let of_rate = || (0..settings.len()).filter(|at| settings[*at].rate_hz.to_bits() == rate_hz.to_bits());
     let mut feasible: Vec<usize> = of_rate().filter(|at| settings[*at].feasible()).collect();
     feasible.sort_by(|a, b| settings[*a].latency_ns.total_cmp(&settings[*b].latency_ns));
+    let over = |fastest: usize, at: usize| ratio(settings[fastest].worst_row, settings[at].worst_row);
+    let wants_data = |at: usize| settings[at].wants_data();
+    let compared = |others: &[usize], fastest: usize| {
+        others.iter().all(|at| over(fastest, *at).is_some_and(|ratio| ratio.lower.is_some() && ratio.upper.is_some()))
+    };
+    let too_few_data = match feasible.split_first() {
+        Some((fastest, others)) => !compared(others, *fastest),
+        None => of_rate().any(wants_data),
+    };
+    if too_few_data {
+        let words = "no recommendation can be made from so few data: an interval takes 2 s (8 blocks of 250 ms) of every case; a \
+                     longer --duration tells more."
+            .to_owned();
+        return AtRate { rate_hz, best: None, runner_up: None, clear: false, too_few_data, words };
+    }
     let Some(&fastest) = feasible.first() else {
         // The others stand in the table of settings.
         let nearest = of_rate().min_by(|a, b| settings[*a].missed_share.total_cmp(&settings[*b].missed_share));
         let why = |at: usize| format!(": {}: {}", settings[at].name(), settings[at].against.join("; "));
         let words = format!("nothing is feasible. What misses the fewest ticks{}.", nearest.map_or(String::new(), why));
-        return AtRate { rate_hz, best: None, runner_up: None, clear: true, words };
+        return AtRate { rate_hz, best: None, runner_up: None, clear: true, too_few_data, words };
     };
-    let over_fastest = |at: usize| ratio(settings[fastest].worst_row, settings[at].worst_row);
+    let over_fastest = |at: usize| over(fastest, at);
     let told_apart = |at: usize| over_fastest(at).and_then(|ratio| ratio.lower).is_some_and(|lower| lower > 1.0);
     let alike: Vec<usize> = feasible[1..].iter().copied().filter(|at| !told_apart(*at)).collect();
     let cpu = |at: usize| settings[at].cpu.unwrap_or(f64::INFINITY);
@@ -271,7 +298,7 @@ fn at_rate(
         }
         None => words.push_str(" No other setting is feasible at this rate."),
     }
-    AtRate { rate_hz, best: Some(best), runner_up, clear: alike.is_empty(), words }
+    AtRate { rate_hz, best: Some(best), runner_up, clear: alike.is_empty(), too_few_data, words }
 }
 
 fn times_as_late(ratio: &Ratio) -> String {
@@ -289,8 +316,9 @@ fn choose(settings: &[Setting], rates: &[AtRate]) -> (Option<usize>, bool, Strin
     let mut best: Vec<usize> = rates.iter().filter_map(|rate| rate.best).collect();
     best.sort_by(|a, b| w(*a).total_cmp(&w(*b)));
     let Some(&smallest) = best.first() else {
-        let words = "No setting of this study keeps the limits.".to_owned();
-        return (None, true, words);
+        let too_few_data = rates.iter().any(|rate| rate.too_few_data);
+        let words = if too_few_data { "None: too few data." } else { "No setting of this study keeps the limits." };
+        return (None, !too_few_data, words.to_owned());
     };
     let equal = best.iter().copied().filter(|at| w(*at) <= w(smallest) * (1.0 + SAME_W));
     let choice = equal.fold(smallest, |choice, at| if cpu(at) < cpu(choice) { at } else { choice });

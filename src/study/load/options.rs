@@ -48,7 +48,7 @@ pub struct LoadArgs {
     /// With and without SCHED_FIFO, locked memory and /dev/cpu_dma_latency; default both.
     #[arg(long, value_delimiter = ',', value_enum, value_name = "RIGHTS,…")]
     pub privileges: Vec<Rights>,
-    /// How long each case is measured, all rounds together; default 3s, with --quick 800ms.
+    /// How long each case is measured, all rounds together; default 3s, with --quick 2400ms.
     #[arg(long, value_parser = duration, value_name = "TIME")]
     pub duration: Option<Nanos>,
     /// Rounds over all cases, so that a noisy minute hits all of them; default 3, with --quick 1.
@@ -164,7 +164,7 @@ impl LoadArgs {
         if !(1..=ROUNDS_MAX).contains(&rounds) {
             return Err(Failure::usage(format!("--rounds: found {rounds}, allowed: 1 to {ROUNDS_MAX}")).into());
         }
-        let default_ns = if self.quick { 800_000_000 } else { 3 * NS_PER_S };
+        let default_ns = if self.quick { 2_400_000_000 } else { 3 * NS_PER_S };
         let duration_ns = self.duration.map_or(default_ns, Nanos::ns);
         let run_ns = duration_ns / u64::from(rounds);
         if run_ns < RUN_NS_MIN {

@@ -49,10 +49,12 @@ fn an_option_that_is_refused_is_named_with_what_is_allowed() {
 }
 
 #[test]
-fn the_default_takes_less_than_ten_minutes_and_the_quick_study_less_than_one() {
+fn the_default_takes_less_than_ten_minutes_and_the_quick_study_less_than_a_minute_and_a_half() {
     let (default, quick) = (plan("").unwrap(), plan("--quick").unwrap());
     assert_eq!((default.runs(), quick.runs()), (4 * 2 * 4 * 3 * 3, 24));
-    assert!(default.estimate_s() < 600.0 && quick.estimate_s() < 60.0);
+    assert!(default.estimate_s() < 600.0 && quick.estimate_s() < 90.0);
+    // Eight blocks of 250 ms are what an interval takes, after the start-up.
+    assert!(quick.run_ns >= 2_200_000_000);
     let own = plan("--quick --rates 2kHz,2kHz --wakeups spin --loads none --privileges with --duration 2s --rounds 2");
     let own = own.unwrap();
     assert_eq!((own.cases.len(), own.runs(), own.run_ns), (1, 2, 1_000_000_000), "what is given twice is run once");
@@ -217,10 +219,29 @@ fn what_the_data_do_not_tell_apart_is_called_so_and_the_cheaper_one_is_taken() {
     assert_eq!(chosen(&advice), Some((1e3, "hybrid")), "block takes less still, but is told apart from the best");
     assert!(!advice.rates[0].clear && advice.rates[0].words.contains("No clear winner: `spin`"), "{advice:?}");
     assert!(advice.rates[0].words.contains("of the 2 that these data"), "{}", advice.rates[0].words);
-    // Without enough blocks there is no interval, and nothing is told apart.
-    let none = advise(&rows, Quantile::P99, LIMITS, |_, _| Some(Ratio { ratio: 3.0, lower: None, upper: None }));
-    assert_eq!(chosen(&none), Some((1e3, "block")));
-    assert!(none.rates[0].words.contains("too few data for an interval"));
+}
+
+#[test]
+fn from_too_few_data_nothing_is_recommended() {
+    let rows = [
+        row(1e3, "spin", Kind::None, 10.0, Some(0.3), 0.0, 1.4),
+        row(1e3, "block", Kind::None, 132.9, Some(0.3), 0.0, 0.1),
+    ];
+    // One is thirteen times as late as the other, and there is no interval.
+    let none = advise(&rows, Quantile::P99, LIMITS, |_, _| Some(Ratio { ratio: 13.29, lower: None, upper: None }));
+    assert_eq!((chosen(&none), none.clear), (None, false));
+    assert!(none.rates[0].too_few_data && none.rates[0].words.contains("--duration"), "{}", none.rates[0].words);
+    assert!(!none.rates[0].words.contains("winner") && none.words.contains("too few data"), "{}", none.words);
+    // The same where a latency has no interval of its own.
+    let mut rows = rows;
+    rows.iter_mut().for_each(|row| row.latency.iter_mut().for_each(|latency| latency.lower_ns = None));
+    let none = advice_on(&rows);
+    assert_eq!(chosen(&none), None);
+    assert!(none.rates[0].too_few_data, "{none:?}");
+    assert!(none.settings[0].against[0].contains("too few data"), "{:?}", none.settings[0]);
+    // Where misses rule a setting out, no data would help.
+    rows.iter_mut().for_each(|row| row.missed_share = Some(0.5));
+    assert!(!advice_on(&rows).rates[0].too_few_data);
 }
 
 #[test]
