@@ -25,14 +25,14 @@ use loopbound_shared::clock;
 use loopbound_shared::doorbell::{Bell, ControlBlock};
 use loopbound_shared::event::{self, CommandKind, Phase, Refusal, ReplyKind};
 use loopbound_shared::group::Group;
-use loopbound_shared::ports::{CommandClient, Node, Subscriber};
+use loopbound_shared::ports::{Announces, CommandClient, Node, Subscriber};
 use loopbound_shared::realtime::wait_any_end;
-use loopbound_shared::sample::{Announce, Command, Reply, State, TickRecord, Torque};
+use loopbound_shared::sample::{Command, Reply, State, TickRecord, Torque};
 use loopbound_shared::scenario::{Mode, Restart, Role, Scenario};
 use loopbound_shared::topics::Topic as _;
 
 use crate::exit::{Exit, Failure};
-use crate::processes;
+use crate::processes::{self, Process};
 use crate::progress::Progress;
 use crate::signals::Stop;
 use child::Child;
@@ -104,7 +104,7 @@ struct Supervisor<'a> {
     scenario: &'a Scenario,
     options: &'a Options<'a>,
     commands: CommandClient,
-    announcements: Subscriber<Announce>,
+    announcements: Announces,
     states: Subscriber<State>,
     /// The last closed tick alone, for the roster.
     closed: Subscriber<TickRecord>,
@@ -147,7 +147,7 @@ pub fn supervise(scenario: &Scenario, options: &Options<'_>) -> anyhow::Result<O
     let mut supervisor = Supervisor::create(scenario, options)?;
     let file = supervisor.group.file("scenario.toml");
     for process in processes::table(scenario, &file, options.out.as_deref()) {
-        let child = Child::start(process, &supervisor.group, 0)?;
+        let child = supervisor.start_child(process, 0)?;
         supervisor.children.push(child);
     }
     let end = match supervisor.wait_until_ready() {
@@ -170,11 +170,11 @@ impl<'a> Supervisor<'a> {
             scenario,
             options,
             commands: node.command_client()?,
-            announcements: node.subscriber(64)?,
-            states: node.subscriber(1)?,
-            closed: node.subscriber(1)?,
+            announcements: node.announces()?.uncounted(),
+            states: node.subscriber(1)?.uncounted(),
+            closed: node.subscriber(1)?.uncounted(),
             newest: None,
-            torques: lockstep.then(|| node.subscriber(1)).transpose()?,
+            torques: lockstep.then(|| node.subscriber(1)).transpose()?.map(Subscriber::uncounted),
             answered: Vec::new(),
             suspected_in: None,
             stop_tick: scenario.loop_.ticks(),
@@ -184,7 +184,7 @@ impl<'a> Supervisor<'a> {
             swap: None,
             hanging: None,
             fault_until_ns: 0,
-            records: node.subscriber(TickRecord::DEPTH)?,
+            records: node.subscriber(TickRecord::DEPTH)?.uncounted(),
             next_id: cast::controllers(scenario).iter().map(|part| part.id).max().unwrap_or(0) + 1,
             deaths: Vec::new(),
             roster: RosterFile::default(),
@@ -195,6 +195,14 @@ impl<'a> Supervisor<'a> {
             node,
             group,
         })
+    }
+
+    /// Starts a process, and enters it in the list of those who may speak in this run.
+    fn start_child(&self, process: Process, restarts: u32) -> anyhow::Result<Child> {
+        let (role, id) = (process.role, process.id);
+        let child = Child::start(process, &self.group, restarts)?;
+        self.block.writers().enlist(role.into(), id, child.pid);
+        Ok(child)
     }
 
     fn lockstep(&self) -> bool {
@@ -372,8 +380,7 @@ impl<'a> Supervisor<'a> {
             Role::Monitor => self.grant_all_credit(),
             Role::Plant | Role::Reference => {}
         }
-        self.block.clear_place_of(pid);
-        self.node.clean_up_dead_nodes();
+        self.clean_up_the_dead();
         let tick = self.tick();
         let stands_in = role == Role::Controller && self.controllers().any(Child::ready);
         self.deaths.push(Death { role: role.to_string(), id, pid, tick, how: how.clone(), recovered: stands_in });
@@ -384,6 +391,12 @@ impl<'a> Supervisor<'a> {
             Restart::Restart => self.plan_restart(process, restarts, id),
         }
         None
+    }
+
+    /// Frees what dead processes still hold, so that others find room: children, and guests that nobody here has started.
+    fn clean_up_the_dead(&self) {
+        self.block.clear_places_of_the_dead();
+        self.node.clean_up_dead_nodes();
     }
 
     fn grant_all_credit(&self) {

@@ -20,12 +20,12 @@ use std::thread::{self, JoinHandle};
 use loopbound_shared::cast;
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::{Bell, ControlBlock};
-use loopbound_shared::event::{CommandKind, LiveFault, Phase, ReplyKind};
+use loopbound_shared::event::{CommandKind, LiveFault, Phase, ReplyKind, Role};
 use loopbound_shared::fault::board::Injected;
 use loopbound_shared::group::Group;
-use loopbound_shared::ports::{CommandClient, Node, Subscriber};
+use loopbound_shared::ports::{Announces, CommandClient, Node};
 use loopbound_shared::role::{RoleArgs, RoleError};
-use loopbound_shared::sample::{Announce, Command};
+use loopbound_shared::sample::Command;
 use loopbound_shared::scenario::Scenario;
 
 /// Who is counted: places in [`COUNTS`]. Everyone else is not.
@@ -142,7 +142,7 @@ fn start(
 /// What a supervisor has of a group, with the roles as threads.
 struct Threads {
     commands: CommandClient,
-    announcements: Subscriber<Announce>,
+    announcements: Announces,
     roles: Vec<JoinHandle<Result<(), RoleError>>>,
     block: ControlBlock,
     _node: Node,
@@ -156,7 +156,11 @@ impl Threads {
         fs::write(&file, scenario.to_toml().expect("the scenario as text")).expect("the group's scenario");
         let block = ControlBlock::create(&group.file("bell")).expect("the control block");
         let node = Node::open(&group).expect("a node");
-        let (commands, announcements) = (node.command_client(), node.subscriber(64));
+        let (commands, announcements) = (node.command_client(), node.announces());
+        let enlist = |role, id| block.writers().enlist(role, id, std::process::id());
+        enlist(Role::Reference, 1);
+        enlist(Role::Plant, 1);
+        cast::controllers(scenario).iter().for_each(|part| enlist(Role::Controller, part.id));
         let args = |id| RoleArgs { group: group.name().to_owned(), id, scenario: file.clone(), parent: None };
         let mut roles = vec![start(REFERENCE, args(1), loopbound_reference::run)];
         for part in cast::controllers(scenario) {
@@ -277,7 +281,7 @@ fn the_realtime_loops_allocate_nothing_of_their_own_while_a_fault_befalls_them_t
         assert_only_notes_with(kind.name(), scenario, 300, 900, |threads| {
             let (target, first, end, delay_ns) = (1, 400, 500, 200_000);
             let (command, option) = (CommandKind::Fault.code(), u64::from(kind.code()));
-            threads.ask(Command { kind: command, controller: target, tick: first, ns: 100_000_000, option });
+            threads.ask(Command { kind: command, controller: target, tick: first, ns: 100_000_000, option, ..Command::zeroed() });
             threads.block.faults().write(&Injected { kind, target, first, end, delay_ns, value_nm: 1.0 });
         });
     }

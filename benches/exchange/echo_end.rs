@@ -6,6 +6,7 @@ use anyhow::Result;
 use loopbound_controller::{Builtin, ControllerCore};
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::{Bell, ControlBlock};
+use loopbound_shared::event::Role;
 use loopbound_shared::fault::FaultActions;
 use loopbound_shared::group::Group;
 use loopbound_shared::law::LawKind;
@@ -79,6 +80,8 @@ pub(crate) fn run(name: &str, parent: u32, request: &realtime::Request) -> Resul
 
 impl EchoEnd {
     fn open(group: &Group) -> Result<Self> {
+        let block = ControlBlock::open(&group.file("bell"))?;
+        block.writers().enlist(Role::Controller, 1, std::process::id());
         let node = Node::open(group)?;
         let scenario = Scenario::default();
         let bells = MODES
@@ -92,7 +95,7 @@ impl EchoEnd {
             states: node.subscriber(8)?,
             torques: node.publisher()?,
             core: ControllerCore::new(&scenario, 1, Builtin::new(&scenario, LawKind::Robust)?),
-            block: ControlBlock::open(&group.file("bell"))?,
+            block,
             _node: node,
         })
     }

@@ -4,6 +4,7 @@ use anyhow::{Result, anyhow};
 use loopbound_plant::{Opening, PlantCore};
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::{Bell, ControlBlock};
+use loopbound_shared::event::Role;
 use loopbound_shared::group::Group;
 use loopbound_shared::ports::{Node, Publisher, Subscriber};
 use loopbound_shared::sample::{State, Torque};
@@ -51,6 +52,8 @@ struct Plan {
 impl PlantEnd {
     /// Makes what the echo opens, so before it is started.
     pub(crate) fn open(group: &Group) -> Result<Self> {
+        let block = ControlBlock::create(&group.file("bell"))?;
+        block.writers().enlist(Role::Plant, 1, std::process::id());
         let node = Node::open(group)?;
         let mut core = Box::new(PlantCore::new(&Scenario::default(), true)?);
         let member = |e| anyhow!("the plant refuses its controller: {e:?}");
@@ -70,7 +73,7 @@ impl PlantEnd {
             next_tick: 1,
             orders_given: 0,
             page: Page::create(&group.file("raw"))?,
-            block: ControlBlock::create(&group.file("bell"))?,
+            block,
             _node: node,
         })
     }

@@ -6,7 +6,7 @@ use loopbound_shared::fault::{FaultActions, FaultPlan};
 use loopbound_shared::law::LawKind;
 use loopbound_shared::realtime::Privileges;
 use loopbound_shared::role;
-use loopbound_shared::sample::{Announce, State, Torque, torque_flag};
+use loopbound_shared::sample::{Announce, Origin, State, Torque, torque_flag};
 use loopbound_shared::scenario::{Mode, Role, Scenario};
 use loopbound_shared::setpoints::SetpointBook;
 
@@ -95,6 +95,7 @@ impl<C: Controller> ControllerCore<C> {
     pub fn answer(&mut self, state: &State, faults: &FaultActions) -> Torque {
         self.clock_off_ns = self.clock_off_ns.saturating_add(faults.clock_step_ns);
         let mut torque = Torque {
+            origin: Origin::in_process(event::Role::Controller),
             tick: state.tick,
             state_published_ns: state.published_ns,
             writer: self.id,

@@ -34,7 +34,7 @@ impl Ports {
         let (node, mode) = (&joined.node, joined.scenario.loop_.wakeup);
         Ok(Self {
             states: node.subscriber(8)?,
-            setpoints: node.subscriber(usize::MAX)?,
+            setpoints: node.subscriber(usize::MAX)?.uncounted(),
             torques: node.publisher()?,
             announce: node.publisher()?,
             states_bell: Waiter::new(node, mode, Bell::State)?,

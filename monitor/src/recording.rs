@@ -17,9 +17,9 @@ use std::io;
 use std::path::Path;
 
 use loopbound_shared::chain::LINKS_MAX;
-use loopbound_shared::layout::{Layout, bytes_of};
+use loopbound_shared::layout::content_of;
 use loopbound_shared::role::build_id;
-use loopbound_shared::sample::{Announce, TickRecord};
+use loopbound_shared::sample::{Announce, Message as _, TickRecord};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::write::{NoSeek, WriteOptions, Writer};
 
@@ -103,8 +103,8 @@ impl McapWriter {
         let metadata = [
             ("version", env!("CARGO_PKG_VERSION").to_owned()),
             ("build", format!("{:016x}", build_id())),
-            ("record_layout", format!("{:016x}", TickRecord::HASH)),
-            ("announce_layout", format!("{:016x}", Announce::HASH)),
+            ("record_layout", format!("{:016x}", TickRecord::CONTENT_HASH)),
+            ("announce_layout", format!("{:016x}", Announce::CONTENT_HASH)),
             ("group", about.group),
             ("links", about.links.to_string()),
             ("scenario", about.scenario),
@@ -127,7 +127,7 @@ impl McapWriter {
         self.last_plant_ns = plant_ns;
         self.views.heed_clock(record);
         let time_ns = self.views.wall_ns(plant_ns);
-        self.put(Channel::Records, time_ns, bytes_of(record))?;
+        self.put(Channel::Records, time_ns, content_of(record))?;
         let header = self.header(Channel::Ticks, time_ns);
         self.writer.write_to_known_channel(&header, self.views.figures(record, row)).map_err(other)?;
         match self.views.scene(record, row) {
@@ -141,7 +141,7 @@ impl McapWriter {
     /// # Errors
     /// If the file can't be written.
     pub fn announce(&mut self, announce: &Announce) -> io::Result<()> {
-        self.put(Channel::Announces, self.views.wall_ns(self.last_plant_ns), bytes_of(announce))
+        self.put(Channel::Announces, self.views.wall_ns(self.last_plant_ns), content_of(announce))
     }
 
     /// Writes an event as a log line.

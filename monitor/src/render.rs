@@ -151,6 +151,28 @@ fn ticks(screen: &mut Screen, summary: &Summary) {
         }
     }
     screen.entry("overruns", &text);
+    strangers(screen, summary);
+}
+
+/// What others than this run's processes said in it, where anybody did.
+fn strangers(screen: &mut Screen, summary: &Summary) {
+    let said = |(kind, count): (&String, &u64)| {
+        let (one, many) = match kind.as_str() {
+            "announce" => ("announcement", "announcements"),
+            "command" => ("command", "commands"),
+            "reply" => ("reply", "replies"),
+            "setpoint" => ("setpoint", "setpoints"),
+            "state" => ("state", "states"),
+            "tick_record" => ("record of a tick", "records of ticks"),
+            "torque" => ("torque", "torques"),
+            other => (other, other),
+        };
+        (*count > 0).then(|| format!("{count} {}", if *count == 1 { one } else { many }))
+    };
+    let all: Vec<String> = summary.strangers.iter().filter_map(said).collect();
+    if !all.is_empty() {
+        screen.entry("strangers", &format!("{}: refused, not of this run's processes", all.join(", ")));
+    }
 }
 
 fn control(screen: &mut Screen, summary: &Summary) {

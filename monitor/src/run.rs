@@ -3,17 +3,18 @@
 //! It runs at the ordinary priority, polls and is never a listener, so that the loop does not feel it. It ends with
 //! the plant's last record, with the plant, on the stop flag, after its time, or when the group has died.
 
+use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 
 use loopbound_shared::chain::LINKS_MAX;
 use loopbound_shared::clock::{now_ns, seconds, sleep_ns, sleep_until_ns_or_signal, wall_time, wall_time_ns};
-use loopbound_shared::doorbell::Bell;
-use loopbound_shared::event::{Phase, Role};
+use loopbound_shared::doorbell::{Bell, ControlBlock};
+use loopbound_shared::event::{MessageKind, Phase, Role};
 use loopbound_shared::fault::FaultPlan;
 use loopbound_shared::group::file_of;
-use loopbound_shared::ports::{Publisher, Subscriber};
+use loopbound_shared::ports::{Announces, Publisher, Subscriber};
 use loopbound_shared::realtime::{Privileges, die_with_parent};
 use loopbound_shared::role::{Joined, RoleArgs, RoleError, announce, build_id, join, kill_self};
 use loopbound_shared::sample::{Announce, TickRecord, record_flag};
@@ -178,7 +179,7 @@ struct Watch<'a, const N: usize> {
     joined: &'a Joined,
     lockstep: bool,
     records: Subscriber<TickRecord>,
-    announces: Subscriber<Announce>,
+    announces: Announces,
     announcer: Publisher<Announce>,
     tracker: Tracker<N>,
     members: Members,
@@ -211,12 +212,16 @@ impl<'a, const N: usize> Watch<'a, N> {
             }
         };
         let now_ns = now_ns();
+        let (records, announces) = (joined.node.subscriber(TickRecord::DEPTH)?, joined.node.announces()?);
+        // The launcher's monitor counts what strangers say; a guest would count it once more.
+        let (records, announces) =
+            if args.managed { (records, announces) } else { (records.uncounted(), announces.uncounted()) };
         Ok(Self {
             args,
             joined,
             lockstep,
-            records: joined.node.subscriber(TickRecord::DEPTH)?,
-            announces: joined.node.subscriber(Announce::DEPTH)?,
+            records,
+            announces,
             announcer: joined.node.publisher()?,
             tracker: Tracker::new(config, Some(judge)),
             members: Members::default(),
@@ -405,6 +410,7 @@ impl<'a, const N: usize> Watch<'a, N> {
 
     fn finish(mut self, ended: Ended) -> Result<Summary, RoleError> {
         self.care(now_ns());
+        self.announces.finish();
         self.close_interval(now_ns());
         self.tracker.finish();
         self.pass_events_on();
@@ -417,6 +423,7 @@ impl<'a, const N: usize> Watch<'a, N> {
         summary.build = format!("{:016x}", build_id());
         summary.written = wall_time();
         summary.ended = ended.name().to_owned();
+        summary.strangers = strangers(&self.joined.block, &summary);
         summary.processes = self.members.summaries();
         summary.host = crate::host::describe();
         summary.scenario = serde_json::to_value(scenario).unwrap_or_default();
@@ -437,6 +444,16 @@ impl<'a, const N: usize> Watch<'a, N> {
         }
         Ok(summary)
     }
+}
+
+/// What was said by others than the processes of this run, by kind. Torques are counted by the plant, with those that a
+/// fault injects.
+fn strangers(block: &ControlBlock, summary: &Summary) -> BTreeMap<String, u64> {
+    let mut counts: BTreeMap<String, u64> =
+        MessageKind::ALL.iter().map(|kind| (kind.name().to_owned(), block.writers().strangers(*kind))).collect();
+    let torques = summary.counters.get("unknown_writer").copied().unwrap_or(0);
+    counts.insert(MessageKind::Torque.name().to_owned(), torques);
+    counts
 }
 
 /// Starts to serve, and says where: the port may have been left to the system.

@@ -90,6 +90,8 @@ pub struct Summary {
     pub swaps_not_listed: u64,
     /// The plant's own counts, since its start.
     pub counters: BTreeMap<String, u64>,
+    /// What processes outside this run said in it, by kind: refused, and never obeyed or reported.
+    pub strangers: BTreeMap<String, u64>,
     /// Events by kind.
     pub events: BTreeMap<String, u64>,
     /// Injected faults of the plant by kind, and of torques by their own account.

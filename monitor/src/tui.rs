@@ -18,7 +18,7 @@ use loopbound_shared::event::LiveFault;
 use loopbound_shared::group::file_of;
 use loopbound_shared::law::LawKind;
 use loopbound_shared::role::{Joined, RoleError};
-use loopbound_shared::sample::{Announce, TickRecord, record_flag};
+use loopbound_shared::sample::{TickRecord, record_flag};
 use loopbound_shared::topics::Topic;
 use loopbound_shared::with_links;
 use ratatui::DefaultTerminal;
@@ -61,8 +61,8 @@ pub fn run(args: &MonitorArgs, stop: &AtomicBool) -> Result<Left, RoleError> {
 }
 
 fn watch<const N: usize>(args: &MonitorArgs, joined: &Joined, stop: &AtomicBool) -> Result<Left, RoleError> {
-    let records = joined.node.subscriber::<TickRecord>(TickRecord::DEPTH)?;
-    let announces = joined.node.subscriber::<Announce>(Announce::DEPTH)?;
+    let records = joined.node.subscriber::<TickRecord>(TickRecord::DEPTH)?.uncounted();
+    let announces = joined.node.announces()?.uncounted();
     let mut model = Model::<N>::new(&args.group, &joined.scenario)?;
     let mut terminal =
         ratatui::try_init().map_err(|error| RoleError::Other(format!("the view needs a terminal: {error}")))?;

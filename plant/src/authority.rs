@@ -147,6 +147,16 @@ impl Authority {
         }
     }
 
+    /// Counts a torque of the open tick `tick` that no place was left for, since the members' answers need them.
+    pub fn count_unheard(&mut self, torque: &Torque, tick: u64) {
+        let acceptance = match self.member(torque.writer) {
+            None => Acceptance::UnknownWriter,
+            Some(_) if torque.tick != tick => Acceptance::Stale,
+            Some(_) => Acceptance::Duplicate,
+        };
+        self.count(acceptance, torque);
+    }
+
     /// Notes a torque that came after the cut-off of the open tick, or belongs to an earlier one: never applied. A
     /// standby's answer in time that had not been looked at yet is noted as such.
     pub fn too_late(&mut self, torque: &Torque, arrived_ns: u64) {
@@ -402,11 +412,21 @@ impl Authority {
         self.counters.faults_injected += u64::from(torque.flags & torque_flag::FAULT_INJECTED != 0);
     }
 
+    /// The receipt of a writer, or the place for one. There are as many places as members, and what somebody else has taken
+    /// makes way for a member's.
+    fn receipt_place(&self, writer: u32) -> Option<usize> {
+        let is_member = |id: u32| self.members.iter().flatten().any(|m| m.id == id);
+        let own = self.receipts.iter().position(|r| r.writer == writer);
+        let free = || self.receipts.iter().position(|r| r.writer == 0);
+        let in_the_way = || self.receipts.iter().rposition(|r| !is_member(r.writer)).filter(|_| is_member(writer));
+        own.or_else(free).or_else(in_the_way)
+    }
+
     fn note_receipt(&mut self, torque: &Torque, arrived_ns: u64, acceptance: Acceptance) {
         // One place a writer: the first answer to this tick, beside which one to an earlier tick leaves its mark only. A second
         // one for this tick is counted and leaves the receipt as it is.
-        let seen = |r: &&mut Receipt| r.writer == 0 || r.writer == torque.writer;
-        let Some(receipt) = self.receipts.iter_mut().find(seen) else { return };
+        let Some(place) = self.receipt_place(torque.writer) else { return };
+        let receipt = &mut self.receipts[place];
         let is_stale = acceptance == Acceptance::Stale;
         let injected = torque.flags & torque_flag::FAULT_INJECTED != 0;
         let mark = match (is_stale, injected) {
@@ -414,8 +434,10 @@ impl Authority {
             (true, false) => torque_flag::CAME_LATE,
             (false, _) => 0,
         };
-        let marks = receipt.flags & (torque_flag::CAME_LATE | torque_flag::CAME_LATE_INJECTED) | mark;
-        if receipt.writer != 0 && (is_stale || receipt.acceptance != Acceptance::Stale.code()) {
+        let own = receipt.writer == torque.writer;
+        let kept = if own { receipt.flags & (torque_flag::CAME_LATE | torque_flag::CAME_LATE_INJECTED) } else { 0 };
+        let marks = kept | mark;
+        if own && (is_stale || receipt.acceptance != Acceptance::Stale.code()) {
             receipt.flags |= marks;
             return;
         }

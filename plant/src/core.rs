@@ -6,11 +6,11 @@
 
 use std::collections::VecDeque;
 
-use loopbound_shared::event::{Decision, HappeningKind, LiveFault, ReplyKind};
+use loopbound_shared::event::{Decision, HappeningKind, LiveFault, ReplyKind, Role};
 use loopbound_shared::integrator::{PlantState, integrate};
 use loopbound_shared::realtime::Evidence;
 use loopbound_shared::sample::{
-    Command, Links, Reply, SEGMENTS_MAX, Segment, State, TickRecord, Torque, record_flag, to_links, to_vector,
+    Command, Links, Origin, Reply, SEGMENTS_MAX, Segment, State, TickRecord, Torque, record_flag, to_links, to_vector,
 };
 use loopbound_shared::scenario::{Scenario, ScenarioError};
 use loopbound_shared::setpoints::SetpointBook;
@@ -123,6 +123,7 @@ impl<const N: usize> PlantCore<N> {
         self.brake_if_lost(at.tick);
         let record = &self.record;
         State {
+            origin: record.origin,
             tick: at.tick,
             deadline_ns: at.deadline_ns,
             sampled_ns: at.sampled_ns,
@@ -235,6 +236,7 @@ impl<const N: usize> PlantCore<N> {
             }
             Some(CommandKind::Swap) => return self.authority.request_swap(command),
             Some(CommandKind::SwapStatus) => return self.authority.swap_status(command.controller),
+            Some(CommandKind::CancelSwap) => return self.authority.cancel_swap(command.controller),
             Some(CommandKind::Start | CommandKind::StopAt | CommandKind::Fault) | None => Err(Refusal::BadCommand),
         };
         outcome.map_or_else(Authority::refused, |()| done)
@@ -358,6 +360,8 @@ impl<const N: usize> PlantCore<N> {
         let (q, v) = self.truth.measure(&self.state.q, &self.state.v, at.tick);
         let record = &mut self.record;
         **record = TickRecord {
+            // In a group the port puts the run's own in its place.
+            origin: Origin::in_process(Role::Plant),
             tick: at.tick,
             deadline_ns: at.deadline_ns,
             sampled_ns: at.sampled_ns,

@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 use loopbound_shared::doorbell::Bell;
 use loopbound_shared::event::{CommandKind, LiveFault, Refusal, ReplyKind};
 use loopbound_shared::fault::FaultPlan;
-use loopbound_shared::ports::{CommandServer, Publisher, Subscriber};
+use loopbound_shared::ports::{Announces, CommandServer, Publisher, Subscriber};
 use loopbound_shared::role::{Joined, RoleError};
 use loopbound_shared::sample::{
     Announce, Command, Reply, Setpoint, State, TickRecord, Torque, WARM_UP_TICK, state_flag,
@@ -23,7 +23,7 @@ pub(crate) struct Ports {
     pub(crate) announce: Publisher<Announce>,
     pub(crate) torques: Subscriber<Torque>,
     pub(crate) setpoints: Subscriber<Setpoint>,
-    announces: Subscriber<Announce>,
+    announces: Announces,
     commands: CommandServer,
     pub(crate) torque_bell: Waiter,
     pub(crate) state_bell: Ringer,
@@ -82,7 +82,7 @@ impl Ports {
             announce: node.publisher()?,
             torques: node.subscriber(usize::MAX)?,
             setpoints: node.subscriber(usize::MAX)?,
-            announces: node.subscriber(usize::MAX)?,
+            announces: node.announces()?.uncounted(),
             commands: node.command_server()?,
             torque_bell: Waiter::new(node, mode, Bell::Torque)?,
             state_bell: Ringer::new(node, mode, Bell::State)?,
@@ -118,9 +118,17 @@ impl Ports {
         while self.setpoints.take_with(|setpoint| core.setpoints.enter(setpoint, N)).is_some() {}
     }
 
+    /// Notes how many torques were none of this run's, for the record.
+    pub(crate) fn count_strangers<const N: usize>(&self, core: &mut PlantCore<N>) {
+        core.authority.counters.unknown_writer += self.torques.take_strangers();
+    }
+
     /// Reads announcements and answers the supervisor.
     pub(crate) fn serve<const N: usize>(&self, core: &mut PlantCore<N>, orders: &mut Orders) {
-        while self.announces.take_with(|announce| core.learn(announce)).is_some() {}
+        self.count_strangers(core);
+        while let Some(announce) = self.announces.take() {
+            core.learn(&announce);
+        }
         self.commands.answer_all(|command| {
             let done = Reply { kind: ReplyKind::Done.code(), tick: core.authority.tick(), ..Reply::zeroed() };
             match CommandKind::from_code(command.kind) {

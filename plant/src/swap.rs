@@ -179,6 +179,17 @@ impl Authority {
         outcome.map_or(Reply { kind: ReplyKind::Pending.code(), ..Reply::zeroed() }, |(_, outcome)| *outcome)
     }
 
+    /// Forgets the swap to controller `to` if it still waits; how it is doing by now.
+    pub fn cancel_swap(&mut self, to: u32) -> Reply {
+        if let Some(at) = self.swaps.requests.iter().position(|request| request.to == to) {
+            self.swaps.requests.remove(at);
+            let reply = Reply { tick: self.tick, ..Self::refused(Refusal::Cancelled) };
+            self.happen(HappeningKind::SwapRefused, to, u64::from(Refusal::Cancelled.code()), 0.0);
+            self.swaps.conclude(to, reply);
+        }
+        self.swap_status(to)
+    }
+
     /// Carries out what is due at the boundary before `tick`: rollback first, then at most one swap. Call before
     /// [`Authority::open`], while the answers of the tick before are still there.
     pub fn switch_if_due(&mut self, tick: u64, promise_held: bool, judge: &impl Judge) {
@@ -200,8 +211,8 @@ impl Authority {
                 if hopeless || timed_out || request.at_tick != 0 {
                     self.swaps.requests.remove(at);
                     self.happen(HappeningKind::SwapRefused, request.to, u64::from(reason.code()), value);
-                    let kind = ReplyKind::Refused.code();
-                    self.swaps.conclude(request.to, Reply { kind, reason: reason.code(), tick, value, limit });
+                    let refused = Reply { tick, value, limit, ..Self::refused(reason) };
+                    self.swaps.conclude(request.to, refused);
                 }
             }
         }

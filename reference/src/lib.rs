@@ -12,7 +12,7 @@ use loopbound_shared::fault::{FaultActions, FaultPlan};
 use loopbound_shared::ports::Publisher;
 use loopbound_shared::realtime;
 use loopbound_shared::role::{self, RoleArgs, RoleError};
-use loopbound_shared::sample::{Announce, Setpoint, to_links};
+use loopbound_shared::sample::{Announce, Origin, Setpoint, to_links};
 use loopbound_shared::scenario::{self, Mode, Scenario, ScenarioError};
 use loopbound_shared::trajectory::Trajectory;
 use loopbound_shared::with_links;
@@ -56,6 +56,7 @@ impl<const N: usize> Generator<N> {
         let source_ns = if faults.stale_setpoint { plant_ns.saturating_sub(self.period_ns) } else { plant_ns };
         let value = self.trajectory.at(clock::seconds(source_ns));
         let mut setpoint = Setpoint {
+            origin: Origin::in_process(Role::Reference),
             tick,
             plant_ns,
             published_ns: 0,
@@ -83,6 +84,7 @@ pub fn run(args: &RoleArgs, stop: &'static AtomicBool) -> Result<(), RoleError> 
 
 fn generate<const N: usize>(args: &RoleArgs, stop: &'static AtomicBool) -> Result<(), RoleError> {
     let joined = role::join(args)?;
+    role::wait_until_listed(&joined, Role::Reference, args.id)?;
     let generator = Generator::<N>::new(&joined.scenario, args.id)?;
     let setpoints: Publisher<Setpoint> = joined.node.publisher()?;
     let announce: Publisher<Announce> = joined.node.publisher()?;

@@ -1,8 +1,11 @@
 //! The group's control block: doorbells (futex words) that wake a process for a fraction of what an event costs, and
-//! the few numbers that lockstep paces itself by, and the board of injected faults.
+//! the few numbers that lockstep paces itself by, the board of injected faults, and the list of who may say what.
 //!
 //! It lies in a file of the group's folder in memory, mapped by every process of the loop. A doorbell says only
 //! "look again"; what there is to see travels by iceoryx2.
+//!
+//! Who waits has a place. It holds a lock on one byte of the file, which the kernel gives up when its owner dies, however it
+//! dies and in whatever PID namespace: so a place whose lock can be had is free, and a dead owner's can be taken at once.
 //!
 //! No wake-up is lost: the ringer publishes first, then changes the word, then looks for waiters; the waiter marks
 //! itself, reads the word, looks for a sample, and only then sleeps *on the word it has read*. All of this is
@@ -10,6 +13,7 @@
 
 use std::fs::File;
 use std::io;
+use std::os::fd::AsRawFd as _;
 use std::path::Path;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::SeqCst};
 
@@ -17,8 +21,10 @@ use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
 use rustix::thread::futex;
 
 use crate::clock;
+use crate::event::Role;
 use crate::fault::board::Board;
 use crate::layout::{FNV_START, fnv1a};
+use crate::writers::Writers;
 
 /// Processes of a group that can wait at a doorbell, each with a place of its own.
 pub const PLACES: usize = u32::BITS as usize;
@@ -35,7 +41,7 @@ pub enum Bell {
 }
 
 const BELLS: usize = 3;
-const MAGIC: u64 = fnv1a(FNV_START, b"loopbound control block 3: bells 3, places 32, pace, faults 6");
+const MAGIC: u64 = fnv1a(FNV_START, b"loopbound control block 4: bells 3, places 32, pace, faults 6, writers 64 and 7");
 
 #[repr(C, align(64))]
 struct BellWords {
@@ -52,6 +58,7 @@ struct Shared {
     bells: [BellWords; BELLS],
     pace: Pace,
     faults: Board,
+    writers: Writers,
 }
 
 /// Numbers that lockstep is paced by; in realtime mode they only inform.
@@ -69,6 +76,8 @@ pub struct Pace {
 pub struct ControlBlock {
     shared: *const Shared,
     place: usize,
+    /// Holds the lock on the place.
+    file: File,
 }
 
 // SAFETY: everything behind the pointer is atomic, and the mapping lives as long as the value.
@@ -85,12 +94,15 @@ impl ControlBlock {
     /// If the file can't be made.
     pub fn create(path: &Path) -> io::Result<Self> {
         use std::os::unix::fs::OpenOptionsExt as _;
-        let file = File::options().read(true).write(true).create_new(true).mode(0o600).open(path)?;
+        // Made beside its place: whoever sees it there sees a whole block.
+        let unfinished = path.with_extension("new");
+        let file = File::options().read(true).write(true).create_new(true).mode(0o600).open(&unfinished)?;
         file.set_len(size_of::<Shared>() as u64)?;
-        let block = Self::map(&file)?;
-        // Released last: whoever sees the magic sees a whole block.
+        let block = Self::map(file)?.take_place()?;
         block.shared().magic.store(MAGIC, SeqCst);
-        block.take_place()
+        block.writers().enlist(Role::Supervisor, 0, std::process::id());
+        std::fs::rename(&unfinished, path)?;
+        Ok(block)
     }
 
     /// Opens the block of a running group and takes a place.
@@ -98,18 +110,26 @@ impl ControlBlock {
     /// # Errors
     /// If it is not there, of another build, or full.
     pub fn open(path: &Path) -> io::Result<Self> {
+        Self::view(path)?.take_place()
+    }
+
+    /// Opens the block of a running group without a place: to read and to count, not to wait.
+    ///
+    /// # Errors
+    /// If it is not there, or of another build.
+    pub fn view(path: &Path) -> io::Result<Self> {
         let file = File::options().read(true).write(true).open(path)?;
         if file.metadata()?.len() != size_of::<Shared>() as u64 {
             return Err(io::Error::other("the control block is of another build of loopbound"));
         }
-        let block = Self::map(&file)?;
+        let block = Self::map(file)?;
         if block.shared().magic.load(SeqCst) != MAGIC {
             return Err(io::Error::other("the control block is of another build of loopbound"));
         }
-        block.take_place()
+        Ok(block)
     }
 
-    fn map(file: &File) -> io::Result<Self> {
+    fn map(file: File) -> io::Result<Self> {
         // SAFETY: a fresh shared mapping of a file of this length; nothing else refers to the address. All access is
         // by atomics, for which any bytes are values. The file is truncated by nobody: it is only ever unlinked.
         #[expect(unsafe_code, reason = "shared memory")]
@@ -119,22 +139,31 @@ impl ControlBlock {
                 size_of::<Shared>(),
                 ProtFlags::READ | ProtFlags::WRITE,
                 MapFlags::SHARED | MapFlags::POPULATE,
-                file,
+                &file,
                 0,
             )?
         };
-        Ok(Self { shared: address.cast(), place: PLACES })
+        Ok(Self { shared: address.cast(), place: PLACES, file })
     }
 
     fn take_place(mut self) -> io::Result<Self> {
-        let pid = std::process::id();
-        let places = &self.shared().places;
-        let free = |p: &AtomicU32| p.compare_exchange(0, pid, SeqCst, SeqCst).is_ok();
-        let Some(place) = places.iter().position(free) else {
-            return Err(io::Error::other(format!("the group has no room for more than {PLACES} processes")));
-        };
-        self.place = place;
-        Ok(self)
+        for place in 0..PLACES {
+            if lock_place(&self.file, place, true)? {
+                self.empty(place);
+                self.shared().places[place].store(std::process::id(), SeqCst);
+                self.place = place;
+                return Ok(self);
+            }
+        }
+        Err(io::Error::other(format!("the group has no room for more than {PLACES} processes")))
+    }
+
+    /// Clears the marks of a place whose lock this process holds.
+    fn empty(&self, place: usize) {
+        for bell in &self.shared().bells {
+            bell.waiting.fetch_and(!(1 << place), SeqCst);
+        }
+        self.shared().places[place].store(0, SeqCst);
     }
 
     fn shared(&self) -> &Shared {
@@ -157,16 +186,26 @@ impl ControlBlock {
         &self.shared().faults
     }
 
-    /// Frees the place and the marks of a process that is gone. The supervisor's, once it has reaped that process.
-    pub fn clear_place_of(&self, pid: u32) {
-        for (place, owner) in self.shared().places.iter().enumerate() {
-            if owner.load(SeqCst) == pid {
-                for bell in &self.shared().bells {
-                    bell.waiting.fetch_and(!(1 << place), SeqCst);
-                }
-                owner.store(0, SeqCst);
+    /// Who may say what in this run.
+    #[must_use]
+    pub fn writers(&self) -> &Writers {
+        &self.shared().writers
+    }
+
+    /// Frees the places and the marks of all who have died; how many there were. The supervisor's: a mark of a dead waiter
+    /// costs every ring a system call.
+    pub fn clear_places_of_the_dead(&self) -> usize {
+        let mut cleared = 0;
+        for place in (0..PLACES).filter(|place| *place != self.place) {
+            let taken = self.shared().places[place].load(SeqCst) != 0;
+            // What can't be asked now is asked at the next look.
+            if taken && lock_place(&self.file, place, true).unwrap_or(false) {
+                self.empty(place);
+                cleared += 1;
+                let _ = lock_place(&self.file, place, false);
             }
         }
+        cleared
     }
 
     /// Wakes whoever waits at `bell`. Without a waiter it costs no system call. Publish first, then ring.
@@ -201,6 +240,26 @@ impl ControlBlock {
     }
 }
 
+/// Takes the lock on a place, or gives it up; whether it could. It belongs to the open file, not to the process: two blocks in
+/// one process have two places.
+fn lock_place(file: &File, place: usize, take: bool) -> io::Result<bool> {
+    let kind = if take { libc::F_WRLCK } else { libc::F_UNLCK };
+    // SAFETY: a struct of integers, for which zeroed memory is a value.
+    #[expect(unsafe_code, reason = "the library's structure has fields that differ between architectures")]
+    let mut lock: libc::flock = unsafe { std::mem::zeroed() };
+    lock.l_type = libc::c_short::try_from(kind).unwrap_or(0);
+    lock.l_whence = libc::c_short::try_from(libc::SEEK_SET).unwrap_or(0);
+    (lock.l_start, lock.l_len) = (libc::off_t::try_from(place).unwrap_or(0), 1);
+    // SAFETY: fcntl reads one `struct flock` from the pointer, which outlives the call; the descriptor is open.
+    #[expect(unsafe_code, reason = "rustix has no locks of open files")]
+    let result = unsafe { libc::fcntl(file.as_raw_fd(), libc::F_OFD_SETLK, &raw const lock) };
+    match io::Error::last_os_error() {
+        _ if result == 0 => Ok(true),
+        e if matches!(e.raw_os_error(), Some(libc::EAGAIN | libc::EACCES)) => Ok(false),
+        e => Err(e),
+    }
+}
+
 /// As many waiters as there can be. The kernel counts in a signed number: `u32::MAX` would be −1, and wake one alone.
 const ALL: u32 = i32::MAX.cast_unsigned();
 const ANY: std::num::NonZeroU32 = std::num::NonZeroU32::MAX;
@@ -208,7 +267,7 @@ const ANY: std::num::NonZeroU32 = std::num::NonZeroU32::MAX;
 impl Drop for ControlBlock {
     fn drop(&mut self) {
         if self.place < PLACES {
-            self.clear_place_of(std::process::id());
+            self.empty(self.place);
         }
         // SAFETY: mapped in `map` with this size, and no reference outlives self.
         #[expect(unsafe_code, reason = "shared memory")]
@@ -246,6 +305,32 @@ mod tests {
                 assert!(seen.is_some(), "torque {k} was not seen");
             }
         });
+    }
+
+    #[test]
+    fn places_of_those_who_left_and_of_those_who_died_are_taken_again_and_those_of_the_living_never() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("bell");
+        let block = ControlBlock::create(&path).unwrap();
+        for _ in 0..3 {
+            let others: Vec<_> = (1..PLACES).map(|_| ControlBlock::open(&path).unwrap()).collect();
+            let mut places: Vec<_> = others.iter().map(|other| other.place).collect();
+            places.sort_unstable();
+            assert_eq!(places, (1..PLACES).collect::<Vec<_>>());
+            assert!(ControlBlock::open(&path).is_err(), "all places are taken");
+            assert_eq!(block.clear_places_of_the_dead(), 0, "all of them live");
+        }
+        let mut others: Vec<_> = (1..PLACES).map(|_| ControlBlock::open(&path).unwrap()).collect();
+        // As a killed process leaves it: the lock is gone, the place and the mark are not.
+        for other in others.drain(..5) {
+            other.shared().bells[0].waiting.fetch_or(1 << other.place, SeqCst);
+            assert!(lock_place(&other.file, other.place, false).unwrap());
+            std::mem::forget(other);
+        }
+        let again = ControlBlock::open(&path).unwrap();
+        assert_eq!(block.clear_places_of_the_dead(), 4);
+        assert_eq!(block.shared().bells[0].waiting.load(SeqCst), 0);
+        drop(again);
     }
 
     #[test]

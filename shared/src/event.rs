@@ -49,6 +49,24 @@ codes! {
         Monitor = 5, "monitor";
     }
 
+    /// What travels between the processes of a group.
+    pub enum MessageKind {
+        /// A setpoint.
+        Setpoint = 0, "setpoint";
+        /// A state.
+        State = 1, "state";
+        /// A torque.
+        Torque = 2, "torque";
+        /// A tick's record.
+        TickRecord = 3, "tick_record";
+        /// An announcement.
+        Announce = 4, "announce";
+        /// A command to the plant.
+        Command = 5, "command";
+        /// The plant's answer to one.
+        Reply = 6, "reply";
+    }
+
     /// Where a process is in its life.
     pub enum Phase {
         /// Ports are open, memory is locked, the code is warm.
@@ -153,6 +171,8 @@ codes! {
         SwapStatus = 6, "swap status";
         /// A fault befalls `controller` from `tick` on for `ns`: mark those ticks. `option`: a `LiveFault` code.
         Fault = 7, "fault";
+        /// Forget the swap to `controller` if it still waits.
+        CancelSwap = 8, "cancel swap";
     }
 
     /// Faults that can be injected by command into a controller of a running group.
@@ -213,6 +233,12 @@ codes! {
         TimedOut = 13, "the gate did not pass in time";
         /// The controller left.
         Gone = 14, "that controller is gone";
+        /// The command came from a process that is not the supervisor of this run.
+        Stranger = 15, "the command is not of this run's supervisor";
+        /// What was asked for would not be over before the run ends.
+        BeyondEnd = 16, "the run ends before that";
+        /// Whoever asked for it has left.
+        Cancelled = 17, "whoever asked for it has left";
     }
 }
 

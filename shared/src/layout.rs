@@ -6,6 +6,8 @@
 
 #![expect(unsafe_code, reason = "the trait promises what the compiler can't check; each SAFETY note says why")]
 
+use crate::sample::{Message, Origin};
+
 /// Plain data: every bit pattern valid, no padding, no pointers. Implemented by [`wire!`](crate::wire) and here for
 /// the primitives.
 ///
@@ -29,6 +31,19 @@ pub fn bytes_of<T: Layout>(value: &T) -> &[u8] {
 pub fn from_bytes<T: Layout>(bytes: &[u8]) -> Option<T> {
     // SAFETY: as many bytes as the type has (checked here), of which any pattern is a value; read without alignment.
     (bytes.len() == size_of::<T>()).then(|| unsafe { bytes.as_ptr().cast::<T>().read_unaligned() })
+}
+
+/// What a recording keeps of a message: all its bytes but those of its origin, which identifies and is no result.
+#[must_use]
+pub fn content_of<T: Message>(message: &T) -> &[u8] {
+    &bytes_of(message)[size_of::<Origin>()..]
+}
+
+/// The message of such bytes, with no origin; none if their number is another one. Whether they are of this layout is for
+/// the caller to know, by [`Message::CONTENT_HASH`].
+#[must_use]
+pub fn from_content<T: Message>(content: &[u8]) -> Option<T> {
+    from_bytes(&[bytes_of(&Origin::zeroed()), content].concat())
 }
 
 /// FNV-1a over `text`, continued from `hash`.
@@ -107,15 +122,7 @@ macro_rules! wire {
         // SAFETY: repr(C), no padding (asserted above), and every field is plain data itself.
         #[expect(unsafe_code, reason = "plain data for shared memory, checked by the assertion above")]
         unsafe impl $crate::layout::Layout for $name {
-            const HASH: u64 = {
-                let hash = $crate::layout::fnv1a($crate::layout::FNV_START, stringify!($name).as_bytes());
-                $(
-                    let hash = $crate::layout::fnv1a(hash, stringify!($field).as_bytes());
-                    let hash = $crate::layout::fnv1a(
-                        hash, &<$t as $crate::layout::Layout>::HASH.to_le_bytes());
-                )*
-                hash
-            };
+            const HASH: u64 = $crate::hash_of_fields!($name { $($field: $t,)* });
         }
 
         // SAFETY: plain data (see above); the name changes whenever a field does, so two ends that agree on the name
@@ -140,6 +147,63 @@ macro_rules! wire {
                 // SAFETY: all fields are plain numbers (checked by Layout), for which zero bytes are a value.
                 #[expect(unsafe_code, reason = "zero bytes are a value of plain data")]
                 unsafe { core::mem::zeroed() }
+            }
+        }
+    };
+}
+
+/// Hash over a type's name and the names and types of its fields.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! hash_of_fields {
+    ($name:ident { $($field:ident : $t:ty,)* }) => {{
+        let hash = $crate::layout::fnv1a($crate::layout::FNV_START, stringify!($name).as_bytes());
+        $(
+            let hash = $crate::layout::fnv1a(hash, stringify!($field).as_bytes());
+            let hash = $crate::layout::fnv1a(hash, &<$t as $crate::layout::Layout>::HASH.to_le_bytes());
+        )*
+        hash
+    }};
+}
+
+/// Defines a [`Message`](crate::sample::Message): [`wire!`](crate::wire) data that begins with its origin. After its name
+/// come its kind, and the role and number that its writer has by what it says.
+#[macro_export]
+macro_rules! message {
+    ($(#[$meta:meta])* pub struct $name:ident : $kind:ident, |$by:pat_param| $role:expr, |$of:pat_param| $writer:expr; {
+        $($(#[$field_meta:meta])* pub $field:ident : $t:ty,)*
+    }) => {
+        $crate::wire! {
+            $(#[$meta])*
+            pub struct $name {
+                /// Whose it is: stamped by the port that sends it.
+                pub origin: $crate::sample::Origin,
+                $($(#[$field_meta])* pub $field: $t,)*
+            }
+        }
+
+        const _: () = assert!(core::mem::offset_of!($name, origin) == 0, "a message begins with its origin");
+
+        impl $crate::sample::Message for $name {
+            const KIND: $crate::event::MessageKind = $crate::event::MessageKind::$kind;
+            const CONTENT_HASH: u64 = $crate::hash_of_fields!($name { $($field: $t,)* });
+
+            fn origin(&self) -> &$crate::sample::Origin {
+                &self.origin
+            }
+
+            fn origin_mut(&mut self) -> &mut $crate::sample::Origin {
+                &mut self.origin
+            }
+
+            fn role(&self) -> Option<$crate::event::Role> {
+                let $by = self;
+                $role
+            }
+
+            fn writer(&self) -> Option<u32> {
+                let $of = self;
+                $writer
             }
         }
     };

@@ -29,3 +29,4 @@ pub mod topics;
 pub mod trajectory;
 pub mod truth;
 pub mod wakeup;
+pub mod writers;

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use thiserror::Error;
 
+use crate::clock;
 use crate::doorbell::ControlBlock;
 use crate::event::{Phase, Role};
 use crate::group::{Group, GroupError};
@@ -72,6 +73,24 @@ pub fn join(args: &RoleArgs) -> Result<Joined, RoleError> {
     Ok(Joined { block, node, scenario, group })
 }
 
+/// Waits until the supervisor has this process on its list, so that nothing that it says is lost as a stranger's.
+///
+/// # Errors
+/// If it is not there in time: nobody of this run has started this process.
+pub fn wait_until_listed(joined: &Joined, role: Role, id: u32) -> Result<(), RoleError> {
+    let until_ns = clock::now_ns() + LISTED_WITHIN_NS;
+    while !joined.block.writers().knows(role, Some(id), std::process::id()) {
+        if clock::now_ns() >= until_ns {
+            return Err(RoleError::Other(format!("{role} {id}: the group's supervisor does not know this process")));
+        }
+        clock::sleep_ns(200_000);
+    }
+    Ok(())
+}
+
+/// A child is on the list as soon as its supervisor runs again after starting it.
+const LISTED_WITHIN_NS: u64 = 5_000_000_000;
+
 /// Calls a function that is generic over the number of links with the scenario's number.
 #[macro_export]
 macro_rules! with_links {
@@ -101,7 +120,7 @@ pub fn announce(role: Role, id: u32, phase: Phase, links: usize, privileges: Pri
         pid: std::process::id(),
         phase: phase.code(),
         build: build_id(),
-        published_ns: crate::clock::now_ns(),
+        published_ns: clock::now_ns(),
         privileges,
         links: u32::try_from(links).unwrap_or(0),
         name: bytes,

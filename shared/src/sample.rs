@@ -1,13 +1,16 @@
 //! Everything that crosses a process boundary, in one place.
 //!
 //! Wire samples are not generic: a vector is `[f64; 7]` of which the first `links` count, so that a monitor can attach
-//! before it knows the scenario. Every sample carries the tick it belongs to or answers, its writer and that writer's
-//! epoch, and copies the stamps of its inputs through. Stamps `…_ns` are CLOCK_MONOTONIC in realtime mode and virtual
-//! in lockstep; `…_plant_ns` count from t = 0 of the plant in both.
+//! before it knows the scenario. Every sample carries the run and the process that it comes from ([`Origin`]), the tick
+//! it belongs to or answers, its writer and that writer's epoch, and copies the stamps of its inputs through. Stamps
+//! `…_ns` are CLOCK_MONOTONIC in realtime mode and virtual in lockstep; `…_plant_ns` count from t = 0 of the plant in both.
 
 use crate::chain::{LINKS_MAX, Vector};
+use crate::event::{MessageKind, Role};
+use crate::layout::Layout;
 use crate::realtime::{Evidence, Privileges};
-use crate::wire;
+use crate::run_id::RunId;
+use crate::{message, wire};
 
 /// One entry a link; those from `links` on are zero.
 pub type Links = [f64; LINKS_MAX];
@@ -27,8 +30,49 @@ pub fn to_links<const N: usize>(vector: &Vector<N>) -> Links {
 }
 
 wire! {
+    /// Whose a sample is. It identifies and is no result: recordings and comparisons of results leave it out.
+    #[derive(Eq)]
+    pub struct Origin {
+        /// The run's id, by [`RunId::bits`].
+        pub run_id: u64,
+        /// [`Role`] of the writer.
+        pub role: u32,
+        /// Process id of the writer; 0 for the run in one process.
+        pub pid: u32,
+    }
+}
+
+impl Origin {
+    /// `role` of a run in one process.
+    #[must_use]
+    pub const fn in_process(role: Role) -> Self {
+        Self { run_id: RunId::IN_PROCESS.bits(), role: role.code(), pid: 0 }
+    }
+}
+
+/// What travels between the processes of a run. The ports stamp its origin when it is sent, and look at it when it comes.
+pub trait Message: Layout {
+    /// Which kind it is.
+    const KIND: MessageKind;
+    /// Hash over the names and types of all fields but the origin: what a recording keeps.
+    const CONTENT_HASH: u64;
+
+    /// Whose it says it is.
+    fn origin(&self) -> &Origin;
+
+    /// The same, to be stamped.
+    fn origin_mut(&mut self) -> &mut Origin;
+
+    /// The role that may say this; none if the code is that of no role.
+    fn role(&self) -> Option<Role>;
+
+    /// The writer's number within its role, where the message names it.
+    fn writer(&self) -> Option<u32>;
+}
+
+message! {
     /// What the reference asks for at tick `tick`, published ahead of time.
-    pub struct Setpoint {
+    pub struct Setpoint: Setpoint, |_| Some(Role::Reference), |this| Some(this.writer); {
         /// The tick it holds for.
         pub tick: u64,
         /// Time of that tick since t = 0.
@@ -48,9 +92,9 @@ wire! {
     }
 }
 
-wire! {
+message! {
     /// What the plant measured at the start of a tick.
-    pub struct State {
+    pub struct State: State, |_| Some(Role::Plant), |_| None; {
         /// The tick k.
         pub tick: u64,
         /// t_k: the deadline of tick k.
@@ -92,9 +136,9 @@ pub mod state_flag {
     pub const WARM_UP: u32 = 2;
 }
 
-wire! {
+message! {
     /// A controller's answer to one [`State`].
-    pub struct Torque {
+    pub struct Torque: Torque, |_| Some(Role::Controller), |this| Some(this.writer); {
         /// The tick answered.
         pub tick: u64,
         /// `published_ns` of the state answered.
@@ -265,9 +309,9 @@ pub const RECEIPTS_MAX: usize = 8;
 /// Happenings that a record holds.
 pub const HAPPENINGS_MAX: usize = 6;
 
-wire! {
+message! {
     /// All of tick k, published when it has closed: the one sample from which everything is judged.
-    pub struct TickRecord {
+    pub struct TickRecord: TickRecord, |_| Some(Role::Plant), |_| None; {
         /// The tick k.
         pub tick: u64,
         /// t_k.
@@ -366,9 +410,9 @@ pub mod record_flag {
     pub const JOINED: u32 = 64;
 }
 
-wire! {
+message! {
     /// Who a process is and what it claims; published once it is ready and whenever that changes.
-    pub struct Announce {
+    pub struct Announce: Announce, |this| Role::from_code(this.role), |this| Some(this.id); {
         /// [`crate::event::Role`].
         pub role: u32,
         /// Id within the group.
@@ -400,9 +444,9 @@ wire! {
     }
 }
 
-wire! {
+message! {
     /// What the supervisor asks of the plant.
-    pub struct Command {
+    pub struct Command: Command, |_| Some(Role::Supervisor), |_| None; {
         /// [`crate::event::CommandKind`].
         pub kind: u32,
         /// Controller id, where one is meant.
@@ -416,9 +460,9 @@ wire! {
     }
 }
 
-wire! {
+message! {
     /// The plant's answer.
-    pub struct Reply {
+    pub struct Reply: Reply, |_| Some(Role::Plant), |_| None; {
         /// [`crate::event::ReplyKind`].
         pub kind: u32,
         /// [`crate::event::Refusal`], 0 where accepted.

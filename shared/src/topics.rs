@@ -1,6 +1,6 @@
 //! The table of topics: what flows, from whom to whom, and with which quality of service.
 
-use crate::sample::{Announce, Setpoint, State, TickRecord, Torque};
+use crate::sample::{Announce, Message, Setpoint, State, TickRecord, Torque};
 
 /// Subscribers that a topic has room for.
 pub const SUBSCRIBERS_MAX: usize = 16;
@@ -12,7 +12,7 @@ pub const NODES_MAX: usize = 32;
 
 /// A sample type and the quality of service of its topic. Safe overflow is on everywhere: a reader that sleeps loses
 /// its own oldest samples and delays nobody.
-pub trait Topic: iceoryx2::prelude::ZeroCopySend + Copy + core::fmt::Debug + 'static {
+pub trait Topic: Message + iceoryx2::prelude::ZeroCopySend + core::fmt::Debug {
     /// Name of the service.
     const NAME: &'static str;
     /// Who writes.

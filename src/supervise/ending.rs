@@ -119,9 +119,6 @@ impl Supervisor<'_> {
                 self.wait_until_ended(|_| true, LEAVE_NS);
             }
         }
-        for child in &self.children {
-            self.block.clear_place_of(child.pid);
-        }
-        self.node.clean_up_dead_nodes();
+        self.clean_up_the_dead();
     }
 }

@@ -134,6 +134,7 @@ impl Supervisor<'_> {
             tick: self.tick() + ahead,
             ns: wanted.marked_ns(),
             option: u64::from(wanted.kind.code()),
+            ..Command::zeroed()
         })?;
         let first = reply.tick;
         self.fault_until_ns = now_ns + ahead * period_ns;

@@ -78,7 +78,7 @@ impl Supervisor<'_> {
             if due.process.role == Role::Controller {
                 due.process.id = self.take_id();
             }
-            match Child::start(due.process.clone(), &self.group, due.restarts) {
+            match self.start_child(due.process.clone(), due.restarts) {
                 Ok(mut child) => {
                     child.replaces = Some(due.replaces);
                     let dead = |c: &Child| c.process.role == due.process.role && c.process.id == due.replaces;
@@ -155,9 +155,8 @@ impl Supervisor<'_> {
     pub(super) fn bury_retired(&mut self) {
         while let Some(index) = self.children.iter().position(|c| c.retiring && !c.lives()) {
             let child = self.children.remove(index);
-            self.block.clear_place_of(child.pid);
             child.remove_log();
-            self.node.clean_up_dead_nodes();
+            self.clean_up_the_dead();
         }
     }
 

@@ -13,7 +13,6 @@ use loopbound_shared::sample::{Announce, Command, Reply, TickRecord};
 use loopbound_shared::scenario::{Restart, Role, Scenario, ScenarioError};
 use loopbound_shared::with_links;
 
-use super::child::Child;
 use super::control::{Answer, Client, Request, SwapReport, SwapRequest};
 use super::{READY_NS, Supervisor};
 use crate::processes::Process;
@@ -94,7 +93,7 @@ impl Supervisor<'_> {
                 policy: Restart::Ignore,
                 out: None,
             };
-            match Child::start(process, &self.group, 0) {
+            match self.start_child(process, 0) {
                 Ok(child) => self.children.push(child),
                 Err(why) => return client.answer(&Answer::Usage(format!("{why:#}"))),
             }
@@ -144,6 +143,7 @@ impl Supervisor<'_> {
             tick: swap.request.at_tick.unwrap_or(0),
             ns: swap.request.blend_ns.unwrap_or(self.scenario.swap_gate.blend.ns()),
             option: u64::from(swap.request.force),
+            ..Command::zeroed()
         };
         match self.command(command) {
             Ok(_) => {

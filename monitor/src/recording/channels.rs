@@ -2,8 +2,7 @@
 
 use std::borrow::Cow;
 
-use loopbound_shared::layout::Layout;
-use loopbound_shared::sample::{Announce, TickRecord};
+use loopbound_shared::sample::{Announce, Message, Origin, TickRecord};
 
 use super::{proto, scene};
 
@@ -73,8 +72,8 @@ impl Channel {
             data: text.as_bytes().into(),
         };
         match self {
-            Self::Records => raw("TickRecord", TickRecord::HASH, size_of::<TickRecord>()),
-            Self::Announces => raw("Announce", Announce::HASH, size_of::<Announce>()),
+            Self::Records => raw::<TickRecord>("TickRecord"),
+            Self::Announces => raw::<Announce>("Announce"),
             Self::Ticks => {
                 Schema { name: proto::MESSAGE.into(), encoding: "protobuf", data: proto::descriptors().into() }
             }
@@ -84,7 +83,9 @@ impl Channel {
     }
 }
 
-fn raw(name: &str, hash: u64, size: usize) -> Schema {
+/// All of a message but its origin, which identifies the run and is no result of it.
+fn raw<T: Message>(name: &str) -> Schema {
+    let (hash, size) = (T::CONTENT_HASH, size_of::<T>() - size_of::<Origin>());
     let text = format!("{name}, {size} bytes as in memory (little endian), layout hash {hash:016x}");
     Schema { name: format!("loopbound.{name}.{hash:016x}"), encoding: RAW, data: text.into_bytes().into() }
 }

@@ -7,9 +7,8 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
-use loopbound_shared::layout::{Layout, from_bytes};
-use loopbound_shared::role::build_id;
-use loopbound_shared::sample::{Announce, TickRecord};
+use loopbound_shared::layout::from_content;
+use loopbound_shared::sample::{Announce, Message as _, TickRecord};
 use mcap::records::Record;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
@@ -184,10 +183,10 @@ fn look_at(channels: &mut Channels, record: Record<'_>) -> Result<Option<Found>,
         Record::Message { header, data } => {
             let id = Some(header.channel_id);
             if id == channels.records {
-                let record: TickRecord = from_bytes(&data).ok_or_else(|| bad("record"))?;
+                let record: TickRecord = from_content(&data).ok_or_else(|| bad("record"))?;
                 Some(Found::Item(Item::Record(Box::new(record))))
             } else if id == channels.announces {
-                let announce: Announce = from_bytes(&data).ok_or_else(|| bad("announcement"))?;
+                let announce: Announce = from_content(&data).ok_or_else(|| bad("announcement"))?;
                 Some(Found::Item(Item::Announce(Box::new(announce))))
             } else if id == channels.ticks {
                 let figures = proto::figures(&data).ok_or_else(|| bad(proto::MESSAGE))?;
@@ -201,12 +200,12 @@ fn look_at(channels: &mut Channels, record: Record<'_>) -> Result<Option<Found>,
 }
 
 fn header_of(about: &std::collections::BTreeMap<String, String>) -> Result<Header, ReadError> {
+    // The build that is recorded tells who wrote it. What is kept of it is these two layouts, and the version computes alike.
     let get = |key: &str| about.get(key).cloned().unwrap_or_default();
     for (what, key, own) in [
         ("version", "version", env!("CARGO_PKG_VERSION").to_owned()),
-        ("layout of TickRecord", "record_layout", format!("{:016x}", TickRecord::HASH)),
-        ("layout of Announce", "announce_layout", format!("{:016x}", Announce::HASH)),
-        ("build", "build", format!("{:016x}", build_id())),
+        ("layout of TickRecord", "record_layout", format!("{:016x}", TickRecord::CONTENT_HASH)),
+        ("layout of Announce", "announce_layout", format!("{:016x}", Announce::CONTENT_HASH)),
     ] {
         let recorded = get(key);
         if recorded != own {

@@ -1,5 +1,7 @@
 use super::reader::{Item, ReadError, Recording};
 use super::*;
+use loopbound_shared::layout::from_content;
+use loopbound_shared::sample::Origin;
 use crate::testing::good;
 use crate::tracker::Tracker;
 
@@ -51,9 +53,19 @@ fn what_was_recorded_reads_back_bit_for_bit_and_in_order() {
     for (tick, record) in (0..).zip(&records) {
         let mut wanted = good(tick);
         wanted.q[1] = f64::from_bits(0x3ff0_0000_0000_0001 + tick);
-        assert!(bytes_of(record) == bytes_of(&wanted), "tick {tick}");
+        assert!(content_of(record) == content_of(&wanted), "tick {tick}");
     }
     std::fs::remove_file(path).unwrap();
+}
+
+#[test]
+fn recordings_from_before_messages_had_an_origin_are_of_the_same_layout() {
+    // As version 0.1.0 wrote them: an origin says whose run it is, and is nothing that a recording keeps of each tick.
+    let layouts = [TickRecord::CONTENT_HASH, Announce::CONTENT_HASH].map(|hash| format!("{hash:016x}"));
+    assert_eq!(layouts, ["963dfaf30269f74a", "4d4cd8cc61d49f3b"]);
+    let record = TickRecord { origin: Origin { run_id: 5, role: 4, pid: 7 }, tick: 9, ..TickRecord::zeroed() };
+    let back: TickRecord = from_content(content_of(&record)).unwrap();
+    assert_eq!(back, TickRecord { origin: Origin::zeroed(), ..record });
 }
 
 #[test]
@@ -78,7 +90,7 @@ fn another_layout_or_build_is_refused_by_name_and_damage_is_an_error() {
     let path = temporary("other");
     write(&path);
     let bytes = std::fs::read(&path).unwrap();
-    let own = format!("{:016x}", TickRecord::HASH);
+    let own = format!("{:016x}", TickRecord::CONTENT_HASH);
     let at = bytes.windows(own.len()).position(|window| window == own.as_bytes()).unwrap();
     let mut other = bytes.clone();
     other[at] = if other[at] == b'0' { b'1' } else { b'0' };

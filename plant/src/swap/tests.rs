@@ -43,6 +43,7 @@ impl Bench {
             tick: at_tick,
             ns: blend_ticks * PERIOD_NS,
             option: u64::from(force),
+            ..Command::zeroed()
         })
     }
 

@@ -68,6 +68,18 @@ impl ProcessHandle {
         Ok(Self { pidfd: pidfd_open(pid, PidfdFlags::empty())? })
     }
 
+    /// Whether a process has ended, also one that nobody has reaped yet.
+    ///
+    /// # Errors
+    /// If the kernel can't tell (it has no such descriptors, or there are none left).
+    pub fn has_ended(pid: u32) -> io::Result<bool> {
+        match Self::open(pid) {
+            Ok(process) => process.wait_end(0),
+            Err(e) if e.raw_os_error() == Some(Errno::SRCH.raw_os_error()) => Ok(true),
+            Err(e) => Err(e),
+        }
+    }
+
     /// Sends a signal.
     ///
     /// # Errors

@@ -152,6 +152,17 @@ keywords! {
     }
 }
 
+impl From<Role> for crate::event::Role {
+    fn from(role: Role) -> Self {
+        match role {
+            Role::Reference => Self::Reference,
+            Role::Controller => Self::Controller,
+            Role::Plant => Self::Plant,
+            Role::Monitor => Self::Monitor,
+        }
+    }
+}
+
 keywords! {
     /// What the supervisor does when a role dies.
     Restart {
