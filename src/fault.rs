@@ -78,7 +78,8 @@ fn text(report: &FaultReport) -> String {
     let delay = report.delay_ns.map(|ns| format!(" by {}", ms(ns)));
     let by = delay.or_else(|| Some(format!(" by {} N·m", report.value_nm?))).unwrap_or_default();
     let length = report.for_ns.map_or_else(String::new, |ns| format!(" for {}", ms(ns)));
-    format!("fault {kind}{by}: controller {controller} from tick {tick} on{length}")
+    let cut_short = if report.cut_short { "; the run is to end before that" } else { "" };
+    format!("fault {kind}{by}: controller {controller} from tick {tick} on{length}{cut_short}")
 }
 
 #[cfg(test)]
@@ -98,6 +99,8 @@ mod tests {
         assert_eq!(text(&delay), "fault delay by 0.6 ms: controller 2 from tick 70 on for 100 ms");
         let glitch = FaultReport { kind: "glitch".into(), delay_ns: None, value_nm: Some(-2.5), ..delay.clone() };
         assert!(text(&glitch).starts_with("fault glitch by -2.5 N·m: controller 2"), "{}", text(&glitch));
+        let cut_short = FaultReport { cut_short: true, ..delay.clone() };
+        assert!(text(&cut_short).ends_with("for 100 ms; the run is to end before that"), "{}", text(&cut_short));
         let refused = FaultReport { reason: Some("no such controller".into()), ..delay };
         assert_eq!(text(&refused), "fault delay: refused in tick 70: no such controller");
     }

@@ -70,6 +70,9 @@ pub fn run(args: &RunArgs) -> anyhow::Result<Exit> {
         stop: &stop,
     };
     let quiet = options.quiet;
+    if !quiet {
+        scenario.in_vain().iter().for_each(|line| say::err!("loopbound: {line}"));
+    }
     let server = args.foxglove.as_ref().map(|address| Guest::server(&options.group, address, quiet)).transpose()?;
     let view = args.tui.then(|| Guest::view(&options.group)).transpose()?;
     let outcome = supervise::supervise(&scenario, &options)?;

@@ -25,9 +25,9 @@ use loopbound_shared::clock;
 use loopbound_shared::doorbell::{Bell, ControlBlock};
 use loopbound_shared::event::{self, CommandKind, Phase, Refusal, ReplyKind};
 use loopbound_shared::group::Group;
-use loopbound_shared::ports::{Announces, CommandClient, Node, Subscriber};
+use loopbound_shared::ports::{CommandClient, Node, Subscriber};
 use loopbound_shared::realtime::wait_any_end;
-use loopbound_shared::sample::{Command, Reply, State, TickRecord, Torque};
+use loopbound_shared::sample::{Announce, Command, Reply, State, TickRecord, Torque};
 use loopbound_shared::scenario::{Mode, Restart, Role, Scenario};
 use loopbound_shared::topics::Topic as _;
 
@@ -55,6 +55,9 @@ const LOOK_NS: u64 = 50_000_000;
 const SWAP_LOOK_NS: u64 = 5_000_000;
 /// A role that ends in order within this time before the plant ended with it.
 const TOGETHER_NS: u64 = 500_000_000;
+/// How long after a death the transport is looked through at every look, and how often without one: it takes milliseconds.
+const CLEAN_AGAIN_NS: u64 = 200_000_000;
+const CLEAN_EVERY_NS: u64 = 5_000_000_000;
 /// Time for the plant to answer a command, besides two of its periods.
 const ANSWER_NS: u64 = 1_000_000_000;
 
@@ -104,7 +107,7 @@ struct Supervisor<'a> {
     scenario: &'a Scenario,
     options: &'a Options<'a>,
     commands: CommandClient,
-    announcements: Announces,
+    announcements: Subscriber<Announce>,
     states: Subscriber<State>,
     /// The last closed tick alone, for the roster.
     closed: Subscriber<TickRecord>,
@@ -134,6 +137,11 @@ struct Supervisor<'a> {
     active: u32,
     started_ns: u64,
     ready_ns: u64,
+    /// When the transport was looked through for the dead, and until when it is at every look.
+    cleaned_ns: u64,
+    clean_until_ns: u64,
+    /// Whether it was said that strangers speak in this run.
+    strangers_noted: bool,
     block: ControlBlock,
     node: Node,
     group: Group,
@@ -170,7 +178,7 @@ impl<'a> Supervisor<'a> {
             scenario,
             options,
             commands: node.command_client()?,
-            announcements: node.announces()?.uncounted(),
+            announcements: node.subscriber(Announce::DEPTH)?.uncounted(),
             states: node.subscriber(1)?.uncounted(),
             closed: node.subscriber(1)?.uncounted(),
             newest: None,
@@ -191,6 +199,9 @@ impl<'a> Supervisor<'a> {
             active: 0,
             started_ns: clock::now_ns(),
             ready_ns: 0,
+            cleaned_ns: clock::now_ns(),
+            clean_until_ns: 0,
+            strangers_noted: false,
             block,
             node,
             group,
@@ -282,6 +293,8 @@ impl<'a> Supervisor<'a> {
             self.start_due();
             self.serve_clients();
             self.retire_due();
+            self.clean_up_now_and_then();
+            self.note_strangers();
             self.prolong_if_undecided();
             self.options.progress.set_position(self.tick());
             if watchdog.stalled(clock::now_ns(), self.tick()) {
@@ -305,7 +318,8 @@ impl<'a> Supervisor<'a> {
             if announce.phase != Phase::Ready.code() {
                 continue;
             }
-            let Some(child) = self.children.iter_mut().find(|c| c.pid == announce.pid) else { continue };
+            let Some(child) = self.children.iter_mut().find(|c| c.is_announced_by(&announce)) else { continue };
+            self.block.writers().enlist(child.process.role.into(), child.process.id, announce.pid);
             let first = child.announce.replace(announce).is_none();
             if first && self.active != 0 {
                 let pid = child.pid;
@@ -399,6 +413,19 @@ impl<'a> Supervisor<'a> {
         self.node.clean_up_dead_nodes();
     }
 
+    /// At every look. A guest that was killed is noticed by its place in the control block; its ports are free when the
+    /// transport has noticed too, which may be a look or two later.
+    fn clean_up_now_and_then(&mut self) {
+        let now_ns = clock::now_ns();
+        if self.block.clear_places_of_the_dead() > 0 {
+            self.clean_until_ns = now_ns + CLEAN_AGAIN_NS;
+        }
+        if now_ns < self.clean_until_ns || now_ns >= self.cleaned_ns + CLEAN_EVERY_NS {
+            self.node.clean_up_dead_nodes();
+            self.cleaned_ns = now_ns;
+        }
+    }
+
     fn grant_all_credit(&self) {
         self.block.pace().credit.store(u64::MAX, SeqCst);
         self.block.ring(Bell::Pace);
@@ -464,6 +491,19 @@ impl<'a> Supervisor<'a> {
         }
         let timeout_ns = ANSWER_NS + 2 * self.scenario.period_ns();
         self.commands.ask(command, timeout_ns).map_err(|e| e.to_string())
+    }
+
+    /// Says once, at once, that a process outside this run speaks in it; the report has the counts.
+    fn note_strangers(&mut self) {
+        let writers = self.block.writers();
+        if self.strangers_noted {
+            return;
+        }
+        let first = event::MessageKind::ALL.iter().find(|kind| writers.strangers(**kind) > 0);
+        if let Some(kind) = first {
+            self.strangers_noted = true;
+            self.note(&format!("a process that is not of this run sends it a {}: refused and counted", kind.words()));
+        }
     }
 
     /// Says something while the run goes on, above the progress bar.

@@ -281,7 +281,14 @@ fn the_realtime_loops_allocate_nothing_of_their_own_while_a_fault_befalls_them_t
         assert_only_notes_with(kind.name(), scenario, 300, 900, |threads| {
             let (target, first, end, delay_ns) = (1, 400, 500, 200_000);
             let (command, option) = (CommandKind::Fault.code(), u64::from(kind.code()));
-            threads.ask(Command { kind: command, controller: target, tick: first, ns: 100_000_000, option, ..Command::zeroed() });
+            threads.ask(Command {
+                kind: command,
+                controller: target,
+                tick: first,
+                ns: 100_000_000,
+                option,
+                ..Command::zeroed()
+            });
             threads.block.faults().write(&Injected { kind, target, first, end, delay_ns, value_nm: 1.0 });
         });
     }

@@ -2,6 +2,8 @@
 
 use std::fmt::Write as _;
 
+use loopbound_shared::event::MessageKind;
+
 use crate::cause::words_of;
 use crate::hops::Hop;
 use crate::summary::{BoundSummary, LawSummary, Quantiles, Summary};
@@ -156,20 +158,13 @@ fn ticks(screen: &mut Screen, summary: &Summary) {
 
 /// What others than this run's processes said in it, where anybody did.
 fn strangers(screen: &mut Screen, summary: &Summary) {
-    let said = |(kind, count): (&String, &u64)| {
-        let (one, many) = match kind.as_str() {
-            "announce" => ("announcement", "announcements"),
-            "command" => ("command", "commands"),
-            "reply" => ("reply", "replies"),
-            "setpoint" => ("setpoint", "setpoints"),
-            "state" => ("state", "states"),
-            "tick_record" => ("record of a tick", "records of ticks"),
-            "torque" => ("torque", "torques"),
-            other => (other, other),
-        };
-        (*count > 0).then(|| format!("{count} {}", if *count == 1 { one } else { many }))
+    let said = |kind: &MessageKind| {
+        let count = summary.strangers.get(kind.name()).copied().filter(|count| *count > 0)?;
+        let one = kind.words();
+        let many = if *kind == MessageKind::Reply { "replies".to_owned() } else { format!("{one}s") };
+        Some(format!("{count} {}", if count == 1 { one.to_owned() } else { many }))
     };
-    let all: Vec<String> = summary.strangers.iter().filter_map(said).collect();
+    let all: Vec<String> = MessageKind::ALL.iter().filter_map(said).collect();
     if !all.is_empty() {
         screen.entry("strangers", &format!("{}: refused, not of this run's processes", all.join(", ")));
     }

@@ -242,6 +242,22 @@ codes! {
     }
 }
 
+impl MessageKind {
+    /// The word in a sentence, for one of them.
+    #[must_use]
+    pub const fn words(self) -> &'static str {
+        match self {
+            Self::Setpoint => "setpoint",
+            Self::State => "state",
+            Self::Torque => "torque",
+            Self::TickRecord => "tick record",
+            Self::Announce => "announcement",
+            Self::Command => "command",
+            Self::Reply => "reply",
+        }
+    }
+}
+
 /// A text that is no name of a [`LiveFault`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UnknownFault;

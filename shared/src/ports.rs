@@ -195,8 +195,8 @@ impl Node {
     /// # Errors
     /// If there is no room.
     pub fn notifier(&self, bell: &str) -> Result<Notifier, PortError> {
-        let service = self.event(bell)?;
-        let port = service.notifier_builder().create().map_err(|e| error(&self.group, bell, e))?;
+        let failed = |e| error(&self.group, bell, e);
+        let port = with_patience(|| self.event(bell)?.notifier_builder().create().map_err(failed))?;
         Ok(Notifier { port })
     }
 
@@ -206,8 +206,8 @@ impl Node {
     /// # Errors
     /// If there is no room.
     pub fn listener(&self, bell: &str) -> Result<Listener, PortError> {
-        let service = self.event(bell)?;
-        let port = service.listener_builder().create().map_err(|e| error(&self.group, bell, e))?;
+        let failed = |e| error(&self.group, bell, e);
+        let port = with_patience(|| self.event(bell)?.listener_builder().create().map_err(failed))?;
         Ok(Listener { port })
     }
 

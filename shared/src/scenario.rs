@@ -9,6 +9,7 @@ mod expect;
 mod keys;
 mod load;
 mod names;
+mod notes;
 mod physics;
 mod reference;
 mod resolve;
@@ -131,6 +132,19 @@ impl Scenario {
     pub fn max_duration_ns(&self) -> u64 {
         let default = self.loop_.duration.ns().saturating_mul(3);
         self.expect.max_duration.map_or(default, Nanos::ns).max(self.loop_.duration.ns())
+    }
+
+    /// Whether a run goes on beyond its duration while its expectations are undecided.
+    #[must_use]
+    pub fn may_be_prolonged(&self) -> bool {
+        self.loop_.mode == Mode::Realtime && !self.expect.conditions.is_empty()
+    }
+
+    /// The first tick that is not run, however often the run is prolonged.
+    #[must_use]
+    pub fn end_tick_at_most(&self) -> u64 {
+        let longest = if self.may_be_prolonged() { self.max_duration_ns() / self.period_ns() } else { 0 };
+        self.loop_.ticks().max(longest)
     }
 }
 

@@ -81,6 +81,12 @@ impl Child {
         self.ended.is_some()
     }
 
+    /// Whether an announcement is this child's own.
+    pub(super) fn is_announced_by(&self, announce: &Announce) -> bool {
+        let role = loopbound_shared::event::Role::from(self.process.role).code();
+        (announce.role, announce.id, announce.pid) == (role, self.process.id, self.pid)
+    }
+
     pub(super) fn lives(&self) -> bool {
         self.ended.is_none()
     }

@@ -13,7 +13,9 @@ use std::time::Duration;
 
 use loopbound_shared::group::Group;
 use loopbound_shared::law::LawKind;
+use rustix::io::Errno;
 use rustix::net::sockopt::socket_peercred;
+use rustix::net::{RecvFlags, recv};
 use rustix::process::geteuid;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -80,6 +82,9 @@ pub struct FaultReport {
     pub value_nm: Option<f64>,
     /// `done` or `refused`.
     pub result: String,
+    /// Whether the run is to end before the fault does.
+    #[serde(default)]
+    pub cut_short: bool,
     /// Why, where it was refused.
     pub reason: Option<String>,
 }
@@ -197,6 +202,15 @@ pub(super) struct Client {
 }
 
 impl Client {
+    /// Whether nobody waits at the other end any more.
+    pub(super) fn has_left(&self) -> bool {
+        let peeked = recv(&self.stream, &mut [0; 1], RecvFlags::PEEK | RecvFlags::DONTWAIT);
+        match peeked {
+            Ok((count, _)) => count == 0,
+            Err(error) => error != Errno::WOULDBLOCK && error != Errno::INTR,
+        }
+    }
+
     /// Whoever has left meanwhile gets none.
     pub(super) fn answer(mut self, answer: &Answer) {
         let line = serde_json::to_string(answer).unwrap_or_default();

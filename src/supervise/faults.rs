@@ -5,7 +5,7 @@
 //! ends or stops it comes as a signal. One fault at a time.
 
 use loopbound_shared::clock;
-use loopbound_shared::event::{CommandKind, LiveFault};
+use loopbound_shared::event::{CommandKind, LiveFault, Refusal};
 use loopbound_shared::fault::board::Injected;
 use loopbound_shared::sample::Command;
 
@@ -106,7 +106,11 @@ impl Supervisor<'_> {
         let done = self.strike(wanted, target);
         report.result = if done.is_ok() { "done" } else { "refused" }.to_owned();
         match done {
-            Ok(first) => report.tick = first,
+            Ok(first) => {
+                report.tick = first;
+                let ticks = report.for_ns.unwrap_or(0).div_ceil(period_ns);
+                report.cut_short = first.saturating_add(ticks) > self.end_tick();
+            }
             Err(why) => report.reason = Some(why),
         }
         let why = report.reason.as_ref().map_or_else(String::new, |why| format!(": {why}"));
@@ -128,6 +132,9 @@ impl Supervisor<'_> {
         let period_ns = self.scenario.period_ns();
         let by_itself = !matches!(wanted.kind, LiveFault::Kill | LiveFault::Hang);
         let ahead = if by_itself { AHEAD_NS.div_ceil(period_ns) + 2 } else { 0 };
+        if self.tick() + ahead >= self.end_tick() {
+            return Err(Refusal::BeyondEnd.name().to_owned());
+        }
         let reply = self.command(Command {
             kind: CommandKind::Fault.code(),
             controller: target,

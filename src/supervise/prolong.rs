@@ -22,14 +22,18 @@ fn prolonged(tick: u64, stop: u64, most: u64, period_ns: u64, interim: Option<&I
 }
 
 impl Supervisor<'_> {
+    /// The first tick that the plant will not run, however often the run is prolonged.
+    pub(super) fn end_tick(&self) -> u64 {
+        self.stop_tick.max(self.scenario.end_tick_at_most())
+    }
+
     /// At every look at a running group.
     pub(super) fn prolong_if_undecided(&mut self) {
         let scenario = self.scenario;
-        if self.lockstep() || scenario.expect.conditions.is_empty() {
+        if !scenario.may_be_prolonged() {
             return;
         }
-        let period_ns = scenario.period_ns();
-        let most = scenario.max_duration_ns() / period_ns;
+        let (period_ns, most) = (scenario.period_ns(), scenario.end_tick_at_most());
         let interim = Interim::read(&self.group.file(Interim::FILE));
         let Some(stop) = prolonged(self.tick(), self.stop_tick, most, period_ns, interim.as_ref()) else { return };
         let command = Command { kind: CommandKind::StopAt.code(), tick: stop, ..Command::zeroed() };

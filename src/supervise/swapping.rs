@@ -72,10 +72,29 @@ impl Supervisor<'_> {
         }))
     }
 
+    /// Why the run leaves no time for a swap, with the tick that it needs and the one that is allowed: so that it does not
+    /// wait for what will not come, with every other swap behind it.
+    fn no_time_for(&self, request: &SwapRequest) -> Option<(Refusal, u64, u64)> {
+        let (now, end) = (self.tick(), self.end_tick());
+        if let Some(at) = request.at_tick.filter(|at| *at <= now) {
+            return Some((Refusal::TickPassed, at, now + 1));
+        }
+        let blend_ns = request.blend_ns.unwrap_or(self.scenario.swap_gate.blend.ns());
+        // The first tick of the new one and the first after the cross-fade.
+        let first = request.at_tick.unwrap_or(now + 1);
+        let after = first.saturating_add(blend_ns.div_ceil(self.scenario.period_ns()).max(1));
+        (after > end).then_some((Refusal::BeyondEnd, after - 1, end - 1))
+    }
+
     fn begin_swap(&mut self, client: Client, request: SwapRequest) {
         let named = [request.law.is_some(), request.exe.is_some(), request.to.is_some()];
         if named.into_iter().filter(|given| *given).count() != 1 {
             return client.answer(&Answer::Usage("exactly one of law, exe and to is needed".to_owned()));
+        }
+        if let Some((reason, value, limit)) = self.no_time_for(&request) {
+            let Answer::Report(mut report) = self.at_once(reason, request.to.unwrap_or(0)) else { return };
+            (report.value, report.limit) = (Some(value as f64), Some(limit as f64));
+            return client.answer(&Answer::Report(report));
         }
         let to = match request.to {
             Some(to) if self.controllers().any(|c| c.process.id == to && c.ready() && c.member) => to,
@@ -112,11 +131,27 @@ impl Supervisor<'_> {
             swap.account.learn(announce);
         }
         while self.records.take_with(|record| swap.account.feed(record, swap.report.to)).is_some() {}
+        if !matches!(swap.stage, Stage::Watched(_)) && swap.client.has_left() {
+            return self.cancel(swap);
+        }
         match swap.stage {
             Stage::Starting => self.ask_when_ready(swap),
             Stage::Asked => self.look_at_asked(swap),
             Stage::Watched(until_tick) => self.look_at_watched(swap, until_tick),
         }
+    }
+
+    /// Whoever asked has left: a swap that still waits is forgotten, so that others can be asked for.
+    fn cancel(&mut self, swap: Swapping) -> Option<Swapping> {
+        if matches!(swap.stage, Stage::Asked) {
+            let (kind, controller) = (CommandKind::CancelSwap.code(), swap.report.to);
+            let reply = self.ask_plant(Command { kind, controller, ..Command::zeroed() });
+            // It was faster: what has happened is watched to its end.
+            if reply.is_ok_and(|reply| reply.kind == ReplyKind::Done.code()) {
+                return self.look_at_asked(swap);
+            }
+        }
+        self.conclude(swap, "refused", Some(Refusal::Cancelled.name().to_owned()))
     }
 
     fn ask_when_ready(&mut self, mut swap: Swapping) -> Option<Swapping> {

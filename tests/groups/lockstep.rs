@@ -62,7 +62,7 @@ fn until_the_last(subscriber: &Subscriber<TickRecord>, running: &mut Running) ->
     records
 }
 
-fn fingerprints_in_one_process(scenario: &str) -> Vec<u64> {
+pub(crate) fn fingerprints_in_one_process(scenario: &str) -> Vec<u64> {
     fn with<const N: usize>(scenario: &Scenario) -> Vec<u64> {
         let mut fingerprints = Vec::new();
         InProcess::<N>::new(scenario).expect("a system").run(|record| fingerprints.push(fingerprint(record)));

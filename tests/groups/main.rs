@@ -12,6 +12,8 @@ mod untested;
 mod attached;
 mod deaths;
 mod faults;
+mod guests;
+mod impostors;
 #[cfg(feature = "foxglove")]
 mod live;
 mod lockstep;

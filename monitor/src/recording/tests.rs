@@ -1,9 +1,9 @@
 use super::reader::{Item, ReadError, Recording};
 use super::*;
-use loopbound_shared::layout::from_content;
-use loopbound_shared::sample::Origin;
 use crate::testing::good;
 use crate::tracker::Tracker;
+use loopbound_shared::layout::from_content;
+use loopbound_shared::sample::Origin;
 
 const TICKS_RECORDED: u64 = 2500;
 
