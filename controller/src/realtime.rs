@@ -82,7 +82,7 @@ pub(crate) fn run<C: Controller>(
         let warm_up = state.flags & state_flag::WARM_UP != 0;
         let faults = if warm_up { FaultActions::default() } else { core.faults_at(state.tick) };
         if faults.any() {
-            suffer(&faults, received_ns);
+            suffer(&faults);
         }
         let mut torque = core.answer(&state, &faults);
         torque.received_ns = core.stamp_ns(received_ns);
@@ -136,14 +136,13 @@ fn publish_spoilt(ports: &Ports, torque: &Torque, faults: &FaultActions, kept_ba
 }
 
 /// The faults that take time or end it.
-fn suffer(faults: &FaultActions, received_ns: u64) {
+fn suffer(faults: &FaultActions) {
     if faults.kill {
         role::kill_self();
     }
-    if faults.hang_ns > 0 {
-        clock::sleep_until_ns(received_ns.saturating_add(faults.hang_ns));
-    }
-    if faults.delay_ns > 0 {
-        clock::sleep_until_ns(received_ns + faults.delay_ns);
+    let pause_ns = faults.hang_ns.saturating_add(faults.delay_ns);
+    if pause_ns > 0 {
+        // Counted from here: what came before takes its own time, and the answer is later by just this.
+        clock::wait_until_ns(clock::now_ns().saturating_add(pause_ns));
     }
 }

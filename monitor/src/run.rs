@@ -9,7 +9,9 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 
 use loopbound_shared::chain::LINKS_MAX;
-use loopbound_shared::clock::{now_ns, seconds, sleep_ns, sleep_until_ns_or_signal, wall_time, wall_time_ns};
+use loopbound_shared::clock::{
+    now_ns, seconds, sleep_ns, sleep_until_ns_or_signal, wait_until_ns, wall_time, wall_time_ns,
+};
 use loopbound_shared::doorbell::{Bell, ControlBlock};
 use loopbound_shared::event::{MessageKind, Phase, Role};
 use loopbound_shared::fault::FaultPlan;
@@ -142,7 +144,7 @@ fn suffer(faults: &FaultPlan, record: &TickRecord, last_tick: Option<u64>) {
             kill_self();
         }
         if actions.hang_ns > 0 {
-            sleep_ns(actions.hang_ns);
+            wait_until_ns(now_ns().saturating_add(actions.hang_ns));
         }
     }
 }

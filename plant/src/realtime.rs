@@ -300,7 +300,7 @@ impl Suffering {
             }
             if faults.hang_ns > 0 || faults.delay_ns > 0 {
                 let now_ns = clock::now_ns();
-                clock::sleep_until_ns(now_ns.saturating_add(faults.hang_ns).saturating_add(faults.delay_ns));
+                clock::wait_until_ns(now_ns.saturating_add(faults.hang_ns).saturating_add(faults.delay_ns));
             }
             self.clock_off_ns = self.clock_off_ns.saturating_add(faults.clock_step_ns);
         }

@@ -153,7 +153,7 @@ impl Output<'_> {
         }
         let pause_ns = faults.hang_ns.saturating_add(if self.lockstep { 0 } else { faults.delay_ns });
         if pause_ns > 0 {
-            clock::sleep_until_ns(clock::now_ns().saturating_add(pause_ns));
+            clock::wait_until_ns(clock::now_ns().saturating_add(pause_ns));
         }
         self.clock_off_ns = self.clock_off_ns.saturating_add(faults.clock_step_ns);
         // A dropped setpoint would stop lockstep, which waits for it: there it is given late in content instead.

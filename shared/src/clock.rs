@@ -53,6 +53,16 @@ pub fn sleep_ns(duration_ns: u64) {
     sleep_until_ns(now_ns().saturating_add(duration_ns));
 }
 
+/// How long before its deadline [`wait_until_ns`] begins to spin: longer than a sleep ends late, without real-time priority too.
+pub const SPIN_LAST_NS: u64 = 200_000;
+
+/// Waits until `CLOCK_MONOTONIC` has reached `deadline_ns`, and not a timer's lateness longer: sleeps while that is far, and
+/// spins the last stretch. For injected times, which have to be as long as they were asked to be.
+pub fn wait_until_ns(deadline_ns: u64) {
+    sleep_until_ns(deadline_ns.saturating_sub(SPIN_LAST_NS));
+    spin_until_ns(deadline_ns);
+}
+
 /// Spins until `CLOCK_MONOTONIC` has reached `deadline_ns`; returns the stamp that ended the spin.
 #[inline]
 pub fn spin_until_ns(deadline_ns: u64) -> u64 {
@@ -173,6 +183,25 @@ mod tests {
         let deadline_ns = now_ns() + 20_000;
         let ended_ns = spin_until_ns(deadline_ns);
         assert!(ended_ns >= deadline_ns && ended_ns <= now_ns());
+    }
+
+    #[test]
+    fn a_precise_wait_never_ends_early_and_is_as_a_rule_less_late_than_a_sleep() {
+        let lateness = |duration_ns: u64, wait: fn(u64)| {
+            let mut late: Vec<u64> = (0..101)
+                .map(|_| {
+                    let deadline_ns = now_ns() + duration_ns;
+                    wait(deadline_ns);
+                    now_ns().checked_sub(deadline_ns).expect("it ended early")
+                })
+                .collect();
+            late.sort_unstable();
+            late[50]
+        };
+        for duration_ns in [3_000, 20_000, 300_000] {
+            let (precise, slept) = (lateness(duration_ns, wait_until_ns), lateness(duration_ns, sleep_until_ns));
+            assert!(precise < slept, "{duration_ns} ns: {precise} ns late, a sleep {slept}");
+        }
     }
 
     #[test]

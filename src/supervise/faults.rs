@@ -167,14 +167,18 @@ impl Supervisor<'_> {
         self.children.iter().filter(|child| child.pid == pid).for_each(act);
     }
 
-    /// Time until whoever was stopped goes on; none if nobody is.
+    /// Time to sleep until whoever was stopped goes on; none if nobody is. The last stretch is spun.
     pub(super) fn until_resumed_ns(&self) -> Option<u64> {
-        self.hanging.as_ref().map(|hanging| hanging.until_ns.saturating_sub(clock::now_ns()))
+        let due_ns = self.hanging.as_ref()?.until_ns.saturating_sub(clock::SPIN_LAST_NS);
+        Some(due_ns.saturating_sub(clock::now_ns()))
     }
 
     /// Lets go on who was stopped for long enough.
     pub(super) fn resume_due(&mut self) {
-        if self.until_resumed_ns() == Some(0) {
+        if let Some(until_ns) = self.hanging.as_ref().map(|hanging| hanging.until_ns)
+            && self.until_resumed_ns() == Some(0)
+        {
+            clock::wait_until_ns(until_ns);
             self.resume();
         }
     }
