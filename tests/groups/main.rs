@@ -25,6 +25,7 @@ mod strangers;
 mod streams;
 mod studies;
 mod swaps;
+mod terminal;
 mod usage;
 mod users;
 mod verdicts;
