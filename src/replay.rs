@@ -275,7 +275,7 @@ fn exit_of(report: &Report) -> Exit {
         return Exit::Failed;
     }
     let headline = Headline::of_word(&report.verdict).unwrap_or(Headline::Inconclusive);
-    if report.what_if && headline.is_bad() {
+    if headline == Headline::Diverged || (report.what_if && headline.is_bad()) {
         return headline.into();
     }
     if report.is_whole() { Exit::Held } else { Exit::Inconclusive }

@@ -9,7 +9,10 @@ use loopbound_monitor::judge::Judge;
 use loopbound_monitor::tracker::Tracker;
 use loopbound_monitor::verdict::judge_summary;
 use loopbound_shared::cast;
+use loopbound_shared::event::{Decision, HappeningKind};
+use loopbound_shared::headline::Headline;
 use loopbound_shared::realtime::Privileges;
+use loopbound_shared::sample::{TickRecord, record_flag};
 use loopbound_shared::scenario::Scenario;
 
 /// The paper's case in lockstep with some settings.
@@ -241,4 +244,95 @@ fn a_disturbance_of_twice_what_is_declared_shows_in_psi_and_accuses_nobody_else(
     let (calm, _) = run(&disturbed(0.0));
     let (psi, calm) = (summary.bound.psi_max.expect("checked"), calm.bound.psi_max.expect("checked"));
     assert!(psi > calm, "{psi} {calm}");
+}
+
+/// The records of a scenario, and its summary.
+fn records(scenario: &Scenario) -> (Vec<TickRecord>, Summary) {
+    let mut tracker = Tracker::<3>::new(tracker_config(scenario), Some(Judge::new(scenario).expect("a system")));
+    let mut records = Vec::new();
+    InProcess::<3>::new(scenario).expect("a system").run(|record| {
+        tracker.feed(record);
+        records.push(*record);
+    });
+    tracker.finish();
+    (records, tracker.summarise())
+}
+
+fn numbers(record: &TickRecord) -> impl Iterator<Item = f64> {
+    let torques = record.segments.iter().flat_map(|segment| segment.tau);
+    let state = [record.q, record.v, record.q_measured, record.v_measured, record.q_d, record.v_d, record.a_d];
+    let values = record.happenings.map(|happening| happening.value);
+    state.into_iter().flatten().chain(torques.collect::<Vec<_>>()).chain(values)
+}
+
+#[test]
+fn a_loop_that_runs_away_is_stopped_and_diverged_whatever_made_it_run_and_no_record_holds_a_value_that_is_not_finite() {
+    let glitch = "[[fault]]\nkind = \"glitch\"\nvalue_nm = 1e300\nat = 40\n";
+    let noisy = "[plant.noise]\nq_rad = 1e-3\nv_rad_s = 1e-2\n";
+    for (settings, toml) in [
+        (vec!["loop.rate=200Hz"], ""),
+        (vec!["controller.gains.k_t=1e4"], ""),
+        (vec!["controller.law=pd+g", "controller.gains.kp=1e6"], ""),
+        (vec!["controller.law=pd+g", "controller.gains.kp=1e6"], noisy),
+        // Finite torques so large that the state overflows within the tick.
+        (vec![], glitch),
+        (vec!["controller.standby=1"], glitch),
+        // Without a limit of the speed what is not finite is left, and that is enough.
+        (vec!["loop.rate=200Hz", "plant.speed_limit=inf"], ""),
+    ] {
+        let (records, summary) = records(&with_toml(&settings, toml));
+        for record in &records {
+            let bad = numbers(record).find(|number| !number.is_finite());
+            assert_eq!(bad, None, "{settings:?}: tick {}", record.tick);
+        }
+        let diverged = summary.diverged.as_ref().unwrap_or_else(|| panic!("{settings:?}: {summary:?}"));
+        let verdict = judge_summary(&summary);
+        assert_eq!(verdict.headline(), Headline::Diverged, "{settings:?}: {:?}", verdict.reasons);
+        assert!(verdict.reasons[0].contains(&format!("tick {}", diverged.tick)), "{:?}", verdict.reasons);
+        // The controller answered every tick in time, and nobody says otherwise.
+        assert_eq!(
+            (summary.late_ticks, summary.missed_ticks),
+            (0, 0),
+            "{settings:?}: {:?}",
+            summary.missed_ticks_by_cause
+        );
+        assert!(summary.missed_ticks_by_cause.values().all(|count| *count == 0), "{settings:?}");
+        // The safe stop: the chain stands to the end.
+        let last = records.last().expect("records");
+        assert_eq!(last.decision, Decision::Stopped.code(), "{settings:?}");
+        assert!(last.v.iter().all(|v| v.abs() < f64::EPSILON) && last.flags & record_flag::DIVERGED != 0);
+        assert_eq!(happened(&records, HappeningKind::Diverged), 1, "{settings:?}");
+        assert!(summary.bound.checked < records.len() as u64, "a V that is no number is not checked");
+    }
+}
+
+fn happened(records: &[TickRecord], kind: HappeningKind) -> usize {
+    let of = |record: &TickRecord| {
+        record.happenings.iter().take(record.happenings_used as usize).filter(|h| h.kind == kind.code()).count()
+    };
+    records.iter().map(of).sum()
+}
+
+#[test]
+fn a_finite_runaway_is_diverged_by_its_v_though_no_joint_is_too_fast() {
+    for setting in ["loop.rate=500Hz", "plant.actuation_delay=2ms"] {
+        let (records, summary) = records(&scenario(&["loop.duration=10s", setting]));
+        let diverged =
+            summary.diverged.as_ref().unwrap_or_else(|| panic!("{setting}: V max {:?}", summary.bound.v_max));
+        assert_eq!(diverged.quantity, "V", "{setting}: {diverged:?}");
+        assert!(diverged.value > diverged.limit && diverged.limit == Some(60.0), "{setting}: {diverged:?}");
+        assert_eq!(judge_summary(&summary).headline(), Headline::Diverged);
+        let fastest = records.iter().flat_map(|record| record.v).fold(0.0f64, |most, v| most.max(v.abs()));
+        println!("{setting}: {diverged:?}, fastest link {fastest:.1} rad/s");
+    }
+}
+
+#[test]
+fn an_uncertified_loop_runs_away_by_the_level_of_its_scenario_and_a_sound_one_does_not() {
+    let uncertified = "controller.uncertainty.mass=0.2";
+    let (_, summary) = records(&scenario(&[uncertified]));
+    assert!(!summary.bound.certified && summary.diverged.is_none(), "{:?}", summary.diverged);
+    assert_eq!(judge_summary(&summary).headline(), Headline::NotCertified);
+    let (_, summary) = records(&scenario(&[uncertified, "loop.rate=200Hz"]));
+    assert_eq!(judge_summary(&summary).headline(), Headline::Diverged);
 }

@@ -84,6 +84,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         start_up_ns: scenario.loop_.start_up.ns(),
         finalise_ns: scenario.monitor.finalise.ns(),
         lockstep: false,
+        speed_limit_rad_s: 100.0,
     };
     for (name, judged) in [("without the bound", false), ("with the bound", true)] {
         for round in 1..=ROUNDS {

@@ -4,7 +4,7 @@ pub mod words;
 
 use std::collections::BTreeMap;
 
-use loopbound_shared::event::{Acceptance, Decision, HappeningKind, LiveFault, Refusal};
+use loopbound_shared::event::{Acceptance, Decision, HappeningKind, LiveFault, Refusal, RunawayKind};
 use loopbound_shared::sample::Happening;
 use serde_json::{Map, Value, json};
 
@@ -159,6 +159,9 @@ impl Event {
                 if matches!(kind, Some(HappeningKind::Rollback | HappeningKind::SwapRefused)) {
                     put("reason", json!(refusal(happening.detail)));
                 }
+                if kind == Some(HappeningKind::Diverged) {
+                    put("quantity", json!(runaway(happening.detail)));
+                }
                 if kind == Some(HappeningKind::FaultInjected) {
                     put("fault", json!(fault(happening.detail)));
                 }
@@ -172,6 +175,13 @@ impl Event {
 #[must_use]
 pub fn refusal(code: u64) -> &'static str {
     u32::try_from(code).ok().and_then(Refusal::from_code).map_or("a reason this build does not know", Refusal::name)
+}
+
+/// The name of a `RunawayKind` code.
+#[must_use]
+pub fn runaway(code: u64) -> &'static str {
+    let kind = u32::try_from(code).ok().and_then(RunawayKind::from_code);
+    kind.map_or("a quantity this build does not know", RunawayKind::name)
 }
 
 /// The name of a `LiveFault` code.

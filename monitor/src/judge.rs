@@ -13,6 +13,7 @@ use loopbound_shared::chain::Chain;
 use loopbound_shared::event::{Decision, Role};
 use loopbound_shared::integrator::PlantState;
 use loopbound_shared::law::{Law, LawInput, LawKind};
+use loopbound_shared::runaway::{self, Runaway};
 use loopbound_shared::sample::{Announce, SEGMENTS_MAX, TickRecord, record_flag, to_vector};
 use loopbound_shared::scenario::{Scenario, ScenarioError};
 use loopbound_shared::system;
@@ -73,6 +74,8 @@ pub struct Judge<const N: usize> {
     /// The controller in charge, and whether V is outside its law's level.
     active: u32,
     outside: bool,
+    /// The controller in charge, and V of its first tick, in its law.
+    v_start: Option<(u32, f64)>,
     figures: Figures<N>,
 }
 
@@ -106,6 +109,8 @@ pub struct Judged {
     pub level: Option<f64>,
     /// What the diagnosis found; none for a tick that was not checked.
     pub verdict: Option<Verdict>,
+    /// Whether V ran away.
+    pub runaway: Option<Runaway>,
 }
 
 impl<const N: usize> Judge<N> {
@@ -139,6 +144,7 @@ impl<const N: usize> Judge<N> {
             before: None,
             active: 0,
             outside: false,
+            v_start: None,
             figures: Figures::default(),
         };
         let law = scenario.controller.law;
@@ -231,6 +237,7 @@ impl<const N: usize> Judge<N> {
             .before
             .filter(|before| before.end_plant_ns == record.start_plant_ns && before.active == active && before.checked);
         self.note_v(record, v, &certificate, &x, events);
+        let runaway = self.runaway(record, v, active, certificate.level);
         if let Some(before) = before {
             self.note_promise(record, v, &before, &certificate, events);
         }
@@ -250,6 +257,7 @@ impl<const N: usize> Judge<N> {
             v_bound: before.and_then(|before| finite(before.v_bound)),
             level: finite(certificate.level).filter(|_| certificate.is_certified()),
             verdict: diagnosis.map(|diagnosis| diagnosis.verdict),
+            runaway,
         }
     }
 
@@ -279,7 +287,8 @@ impl<const N: usize> Judge<N> {
         let used = segments(record);
         let span_ns = record.end_plant_ns.checked_sub(record.start_plant_ns);
         let unfit = span_ns.is_none_or(|span_ns| span_ns > SPAN_MAX_NS)
-            || record.flags & record_flag::AT_REST != 0
+            || record.flags & (record_flag::AT_REST | record_flag::DIVERGED) != 0
+            || !claim.certificate.v(&self.truth.chain, x).is_finite()
             || record.decision == Decision::Blend.code()
             || !claim.certificate.is_certified()
             || used.is_empty()
@@ -351,6 +360,17 @@ impl<const N: usize> Judge<N> {
             self.outside = outside;
             events.push(record.tick, record.start_plant_ns, EventKind::Level { v, level, inside: !outside });
         }
+    }
+
+    /// Whether V ran away. At rest, without a setpoint and once the plant has stopped it says nothing of the loop.
+    fn runaway(&mut self, record: &TickRecord, v: f64, active: u32, level: f64) -> Option<Runaway> {
+        let mute = record_flag::AT_REST | record_flag::SETPOINT_NONE | record_flag::DIVERGED;
+        if record.flags & mute != 0 {
+            return None;
+        }
+        let known = self.v_start.filter(|(of, _)| *of == active);
+        let (_, v_start) = *self.v_start.insert(known.unwrap_or((active, v)));
+        runaway::of_v(v, level, v_start)
     }
 
     fn note_promise(

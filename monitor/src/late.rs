@@ -384,6 +384,11 @@ const INJECTED: u32 = torque_flag::FAULT_INJECTED | torque_flag::WITHHELD | torq
 
 /// Whether a tick had no accepted torque by its grace deadline.
 fn is_missed(record: &TickRecord) -> bool {
+    // A plant that has stopped for good obeys no torque; that is not the fault of one that answered in time.
+    let in_time = |receipt: &Receipt| receipt.acceptance != Acceptance::Late.code();
+    if record.flags & record_flag::DIVERGED != 0 && accepted(record).is_some_and(in_time) {
+        return false;
+    }
     match Decision::from_code(record.decision) {
         Some(Decision::Active | Decision::Standby | Decision::Blend | Decision::Rest) => false,
         Some(Decision::ActiveLate | Decision::Held | Decision::Damped | Decision::Stopped) | None => true,

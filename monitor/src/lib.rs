@@ -22,6 +22,7 @@
 
 pub mod cause;
 pub mod chart;
+pub mod divergence;
 pub mod event;
 pub mod files;
 pub mod hops;

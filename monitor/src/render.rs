@@ -173,7 +173,8 @@ fn strangers(screen: &mut Screen, summary: &Summary) {
 fn control(screen: &mut Screen, summary: &Summary) {
     let tracking = &summary.tracking;
     let text = if tracking.n == 0 {
-        "the run ended before it settled".to_owned()
+        let what = if summary.diverged.is_some() { "the loop ran away" } else { "the run ended" };
+        format!("{what} before it settled")
     } else {
         format!(
             "max |e| {} rad, rms {} rad; max |ė| {} rad/s, rms {} rad/s ({} ticks, settled)",

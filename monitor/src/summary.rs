@@ -80,6 +80,8 @@ pub struct Summary {
     pub latency_ns: Latency,
     /// Distance between successive sampling instants, ns.
     pub jitter_ns: Jitter,
+    /// The first tick in which the loop ran away; `null` if it did not.
+    pub diverged: Option<DivergedSummary>,
     /// The bound, checked live.
     pub bound: BoundSummary,
     /// Tracking error once settled.
@@ -278,6 +280,26 @@ impl BoundSummary {
     pub fn verdicts(&self, name: &str) -> u64 {
         self.verdicts.get(name).copied().unwrap_or(0)
     }
+}
+
+/// Where a loop ran away, and by what.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct DivergedSummary {
+    /// The first tick.
+    pub tick: u64,
+    /// Its start in plant time, s.
+    pub t_s: f64,
+    /// `q`, `v` (not finite), `speed` of a joint, or `V`.
+    pub quantity: String,
+    /// The joint, from 1; `null` for V.
+    pub joint: Option<u32>,
+    /// Its value, rad/s or V; `null` if it was not finite.
+    pub value: Option<f64>,
+    /// The largest value allowed.
+    pub limit: Option<f64>,
+    /// The same as a sentence without a full stop.
+    pub words: String,
 }
 
 /// Tracking error over the ticks after `loop.settle`; `null` for a run that ended before.

@@ -30,6 +30,7 @@ pub(crate) fn config() -> Config {
         start_up_ns: 0,
         finalise_ns: 50_000_000,
         lockstep: false,
+        speed_limit_rad_s: 100.0,
     }
 }
 

@@ -10,6 +10,7 @@ use loopbound_shared::sample::{
 };
 use loopbound_shared::scenario::{Mode, Scenario};
 
+use crate::divergence::Divergence;
 use crate::event::{Event, EventKind, EventLog};
 use crate::hops::{Hop, Hops};
 use crate::jitter::JitterStatistics;
@@ -34,6 +35,8 @@ pub struct Config {
     pub finalise_ns: u64,
     /// Virtual time: there is no start-up, and no host.
     pub lockstep: bool,
+    /// A joint that is faster has run away, rad/s.
+    pub speed_limit_rad_s: f64,
 }
 
 impl Config {
@@ -47,6 +50,7 @@ impl Config {
             start_up_ns: scenario.loop_.start_up.ns(),
             finalise_ns: scenario.monitor.finalise.ns(),
             lockstep: scenario.loop_.mode == Mode::Lockstep,
+            speed_limit_rad_s: scenario.plant.speed_limit,
         }
     }
 }
@@ -127,6 +131,7 @@ pub struct Tracker<const N: usize> {
     blocks: Blocks,
     jitter: JitterStatistics,
     causes: Causes,
+    divergence: Divergence,
     swaps: Swaps,
     events: EventLog,
     errors: Errors,
@@ -169,6 +174,7 @@ impl<const N: usize> Tracker<N> {
             blocks: Blocks::new(config.period_ns),
             jitter: JitterStatistics::default(),
             causes: Causes::default(),
+            divergence: Divergence::new(config.speed_limit_rad_s),
             swaps: Swaps::default(),
             events: EventLog::default(),
             errors: Errors::default(),
@@ -201,6 +207,7 @@ impl<const N: usize> Tracker<N> {
         if judged.verdict == Some(Verdict::Fallback) {
             self.causes.note_fallback();
         }
+        self.divergence.feed::<N>(record, judged.runaway);
         self.swaps.feed(record, self.config.period_ns, missed, judged.v);
         self.errors.record::<N>(&self.config, record);
         self.counters = record.counters;
@@ -360,6 +367,7 @@ impl<const N: usize> Tracker<N> {
             latency_ns,
             jitter_ns: self.jitter.summary(),
             tracking: self.errors.summary::<N>(),
+            diverged: self.divergence.summary(),
             swaps: self.swaps.list().to_vec(),
             swaps_not_listed: self.swaps.not_listed(),
             counters: counters_by_name(counters),
@@ -378,7 +386,8 @@ impl<const N: usize> Tracker<N> {
 
 impl Errors {
     fn record<const N: usize>(&mut self, config: &Config, record: &TickRecord) {
-        if record.start_plant_ns < config.settle_ns || record.flags & record_flag::AT_REST != 0 {
+        let counts_not = record_flag::AT_REST | record_flag::DIVERGED;
+        if record.start_plant_ns < config.settle_ns || record.flags & counts_not != 0 {
             return;
         }
         let e = to_vector::<N>(&record.q_d) - to_vector::<N>(&record.q);

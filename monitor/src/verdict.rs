@@ -69,6 +69,9 @@ fn findings(summary: &Summary) -> Vec<(Headline, String)> {
             found.push((headline, reason));
         }
     };
+    if let Some(diverged) = &summary.diverged {
+        find(true, Headline::Diverged, format!("from tick {} on: {}", diverged.tick, diverged.words));
+    }
     find(summary.ticks_seen == 0, Headline::NoData, "no tick was seen".to_owned());
     find(
         bound.violations_delay_aware > 0,

@@ -9,6 +9,7 @@ use std::collections::VecDeque;
 use loopbound_shared::event::{Decision, HappeningKind, LiveFault, ReplyKind, Role};
 use loopbound_shared::integrator::{PlantState, integrate};
 use loopbound_shared::realtime::Evidence;
+use loopbound_shared::runaway;
 use loopbound_shared::sample::{
     Command, Links, Origin, Reply, SEGMENTS_MAX, Segment, State, TickRecord, Torque, record_flag, to_links, to_vector,
 };
@@ -58,7 +59,10 @@ pub struct PlantCore<const N: usize> {
     plant_ns: u64,
     actuation_delay_ns: u64,
     step_max_ns: u64,
+    speed_limit_rad_s: f64,
     rests: bool,
+    /// The loop ran away in an earlier tick: the plant stands still for good.
+    diverged: bool,
     acting: Segment,
     line: VecDeque<Segment>,
     record: Box<TickRecord>,
@@ -88,7 +92,9 @@ impl<const N: usize> PlantCore<N> {
             plant_ns: 0,
             actuation_delay_ns: scenario.plant.actuation_delay.ns(),
             step_max_ns: scenario.loop_.max_step.ns(),
+            speed_limit_rad_s: scenario.plant.speed_limit,
             rests,
+            diverged: false,
             acting: Segment::zeroed(),
             line: VecDeque::with_capacity(LINE_MAX),
             record: Box::new(TickRecord::zeroed()),
@@ -243,21 +249,24 @@ impl<const N: usize> PlantCore<N> {
     }
 
     fn apply(&mut self, applied: &Applied) {
-        let (tau, saturated) = self.truth.saturate(&to_vector::<N>(&applied.tau));
-        let tick = self.authority.tick();
         let record = &mut self.record;
+        record.accepted_ns = applied.from_ns;
+        [record.used_q_d, record.used_v_d, record.used_a_d] = applied.setpoint;
+        if self.diverged {
+            // The answer came, and that is noted; the plant obeys nobody any more.
+            return;
+        }
+        let (tau, saturated) = self.truth.saturate(&to_vector::<N>(&applied.tau));
         if saturated {
             record.flags |= record_flag::SATURATED;
             self.authority.counters.saturated += 1;
         }
-        record.accepted_ns = applied.from_ns;
-        [record.used_q_d, record.used_v_d, record.used_a_d] = applied.setpoint;
         if let Some(ticks) = self.fallback.answered() {
             self.authority.happen(HappeningKind::Fallback, Decision::Active.code(), ticks, 0.0);
         }
         self.enqueue(Segment {
             from_plant_ns: applied.from_ns - self.t_0_ns + self.actuation_delay_ns,
-            answered_tick: tick,
+            answered_tick: self.authority.tick(),
             writer: applied.writer,
             epoch: applied.epoch,
             tau: to_links(&tau),
@@ -294,7 +303,7 @@ impl<const N: usize> PlantCore<N> {
     }
 
     fn integrate_to(&mut self, to_ns: u64) {
-        if !self.rests && to_ns > self.plant_ns {
+        if !self.rests && !self.diverged && to_ns > self.plant_ns {
             let tau = to_vector(&self.acting.tau);
             self.state = integrate(&self.truth, &self.state, &tau, self.plant_ns, to_ns, self.step_max_ns);
         }
@@ -318,13 +327,15 @@ impl<const N: usize> PlantCore<N> {
             self.plant_ns = end_plant_ns;
             return;
         }
+        let start = self.state;
         self.advance(end_plant_ns);
-        let decision =
-            self.authority.decision().unwrap_or(if self.rests { Decision::Rest } else { self.fallback.decision() });
-        if self.authority.decision().is_none() && !self.rests {
+        let decided = if self.diverged { None } else { self.authority.decision() };
+        let decision = decided.unwrap_or(if self.rests { Decision::Rest } else { self.fallback.decision() });
+        if self.authority.decision().is_none() && !self.rests && !self.diverged {
             let v = self.laws.robust_v(&self.record);
             self.fallback.unanswered(&self.record, v, &self.acting.tau);
         }
+        self.stop_if_lost(&start);
         self.authority.close(decision);
         self.count_skipped(skipped);
         let (receipts, receipts_used) = self.authority.receipts();
@@ -343,11 +354,28 @@ impl<const N: usize> PlantCore<N> {
         self.has_closed = true;
     }
 
+    /// The safe stop of a loop that ran away in the tick that closes: the tick is taken back, so that no value of it that is
+    /// not finite is ever published, and the plant stands where it began, for good.
+    fn stop_if_lost(&mut self, start: &PlantState<N>) {
+        let found = runaway::of_state(&self.state.q, &self.state.v, self.speed_limit_rad_s);
+        let Some(found) = found.filter(|_| !self.diverged) else { return };
+        self.diverged = true;
+        self.record.flags |= record_flag::DIVERGED;
+        self.state = PlantState { q: start.q, v: to_vector(&[0.0; 7]) };
+        self.line.clear();
+        self.fallback.stop();
+        let value = if found.value.is_finite() { found.value } else { 0.0 };
+        self.authority.happen(HappeningKind::Diverged, found.joint, u64::from(found.kind.code()), value);
+    }
+
     fn begin_record(&mut self, at: &Opening, plant_ns: u64) {
         let offset_ns = at.sampled_ns - at.deadline_ns;
         let (active, epoch) = self.authority.active();
         let found = self.setpoints.at::<N>(at.tick, offset_ns);
         let mut flags = if self.rests { record_flag::AT_REST } else { 0 };
+        if self.diverged {
+            flags |= record_flag::DIVERGED;
+        }
         match &found {
             None => flags |= record_flag::SETPOINT_NONE,
             Some(found) if found.stale => {

@@ -51,6 +51,8 @@ pub(crate) struct Fallback<const N: usize> {
     certificate: Certificate,
     brake: Brake<N>,
     period_ns: u64,
+    /// The plant has stopped for good, whoever answers.
+    stopped: bool,
     /// Ticks in a row that nobody answered.
     ticks: u64,
     /// The last torque may be held until then; set by the first unanswered tick.
@@ -67,6 +69,7 @@ impl<const N: usize> Fallback<N> {
             certificate,
             brake: Brake::new(scenario)?,
             period_ns,
+            stopped: false,
             ticks: 0,
             hold_until_plant_ns: 0,
             rung: Decision::Held,
@@ -94,6 +97,13 @@ impl<const N: usize> Fallback<N> {
         self.ticks += 1;
     }
 
+    /// Stops for good: the last rung, whoever answers from now on.
+    pub(crate) fn stop(&mut self) {
+        self.stopped = true;
+        self.changed |= self.rung != Decision::Stopped;
+        self.rung = Decision::Stopped;
+    }
+
     /// The rung that a tick without an answer counts under.
     pub(crate) fn decision(&self) -> Decision {
         self.rung
@@ -101,6 +111,9 @@ impl<const N: usize> Fallback<N> {
 
     /// The plant's own torque from `plant_ns` on, if the time to hold ends within the coming tick.
     pub(crate) fn brake(&mut self, plant_ns: u64, q: &Vector<N>, v: &Vector<N>) -> Option<Vector<N>> {
+        if self.stopped {
+            return Some(self.brake.torque(q, v));
+        }
         if self.ticks == 0 || plant_ns + self.period_ns <= self.hold_until_plant_ns {
             return None;
         }

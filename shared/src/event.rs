@@ -153,6 +153,21 @@ codes! {
         /// A standby's torque acted and the controller in charge stays it: the plant had begun the tick too late for an answer,
         /// or a switch is still being watched. Subject: the standby; detail: the one in charge.
         StoodIn = 12, "stood in";
+        /// The loop ran away: the plant stops for good. Subject: the joint; detail: a `RunawayKind` code; value: what it was,
+        /// 0 where it was not finite.
+        Diverged = 13, "diverged";
+    }
+
+    /// What of a loop ran away.
+    pub enum RunawayKind {
+        /// An angle that is not finite.
+        Angle = 1, "q";
+        /// A velocity that is not finite.
+        Velocity = 2, "v";
+        /// A joint faster than its limit.
+        Speed = 3, "speed";
+        /// V far above its level and its start.
+        V = 4, "V";
     }
 
     /// What the supervisor may ask of the plant.

@@ -20,6 +20,7 @@ pub mod realtime;
 pub mod rng;
 pub mod role;
 pub mod run_id;
+pub mod runaway;
 pub mod sample;
 pub mod say;
 pub mod scenario;

@@ -408,6 +408,8 @@ pub mod record_flag {
     pub const FAULT_INJECTED: u32 = 32;
     /// The plant had to map memory for a port that joined.
     pub const JOINED: u32 = 64;
+    /// The loop has run away, in this tick or an earlier one: the plant stands still, and no torque acts any more.
+    pub const DIVERGED: u32 = 128;
 }
 
 message! {

@@ -149,6 +149,7 @@ impl<const N: usize> Engine<N> {
             active: recorded.active,
             blends: recorded.decision == Decision::Blend.code(),
         });
+        let start = self.state;
         let used = (recorded.segments_used as usize).min(SEGMENTS_MAX);
         let mut plant_ns = recorded.start_plant_ns;
         for at in 0..used {
@@ -162,6 +163,10 @@ impl<const N: usize> Engine<N> {
                 self.state = integrate(&self.truth, &self.state, &tau, plant_ns, to_ns, step_max_ns);
             }
             plant_ns = plant_ns.max(to_ns);
+        }
+        if recorded.flags & record_flag::DIVERGED != 0 {
+            // The plant took the tick back in which it ran away, and stood still from then on.
+            self.state = PlantState { q: start.q, v: Vector::zeros() };
         }
         record
     }

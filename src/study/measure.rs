@@ -11,7 +11,8 @@ use loopbound_shared::scenario::{Mode, Scenario, ScenarioError};
 
 use crate::inprocess::InProcess;
 
-/// A run ends when a link is further off than this, rad: half a turn, from where no law finds back as it was meant to.
+/// A run ends when a link is further off than this, rad: half a turn, from where no law finds back as it was meant to; and
+/// when the plant has stopped a loop that ran away.
 const LOST_RAD: f64 = std::f64::consts::PI;
 
 /// What a run came to. Vectors have one entry a link.
@@ -110,6 +111,7 @@ pub fn tracker_config(scenario: &Scenario) -> Config {
         start_up_ns: scenario.loop_.start_up.ns(),
         finalise_ns: scenario.monitor.finalise.ns(),
         lockstep: true,
+        speed_limit_rad_s: scenario.plant.speed_limit,
     }
 }
 
@@ -185,7 +187,8 @@ impl<const N: usize> Sums<N> {
         let (e, ed) = (q_d - q, v_d - to_vector::<N>(&record.v));
         let tau = segments(record).last().map_or_else(Vector::<N>::zeros, |segment| to_vector(&segment.tau));
         // Written so that what is not a number counts as lost.
-        if !e.iter().all(|e| e.abs() < LOST_RAD) {
+        let diverged = record.flags & record_flag::DIVERGED != 0;
+        if diverged || !e.iter().all(|e| e.abs() < LOST_RAD) {
             self.lost_at_s = Some(t_s);
             return;
         }

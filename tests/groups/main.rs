@@ -11,6 +11,7 @@ mod untested;
 
 mod attached;
 mod deaths;
+mod diverged;
 mod faults;
 mod guests;
 mod impostors;

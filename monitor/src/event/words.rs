@@ -1,6 +1,6 @@
 //! What happened, in words: the numbers of a happening mean something else in each kind.
 
-use loopbound_shared::event::{Decision, HappeningKind};
+use loopbound_shared::event::{Decision, HappeningKind, RunawayKind};
 use loopbound_shared::sample::Happening;
 use serde_json::Value;
 
@@ -26,6 +26,7 @@ pub fn words(happening: &Happening) -> String {
         Some(HappeningKind::FaultInjected) => {
             format!("{} into controller {subject}, for {value:.0} ticks", fault(detail))
         }
+        Some(HappeningKind::Diverged) => diverged(subject, detail, value),
         Some(HappeningKind::StoodIn) => format!("controller {subject} for {detail}"),
         None => format!("subject {subject}, detail {detail}, value {value}"),
     }
@@ -34,6 +35,16 @@ pub fn words(happening: &Happening) -> String {
 /// The number for which a swap was refused; 0 where the reason has none.
 fn found(value: f64) -> String {
     if value == 0.0 { String::new() } else { format!(" ({value:.4})") }
+}
+
+fn diverged(joint: u32, kind: u64, value: f64) -> String {
+    match u32::try_from(kind).ok().and_then(RunawayKind::from_code) {
+        Some(RunawayKind::Speed) => format!("joint {joint} turned at {value:.4} rad/s; the plant has stopped for good"),
+        kind => {
+            let what = kind.map_or("a quantity", RunawayKind::name);
+            format!("{what} of link {joint} was not finite; the plant has stopped for good")
+        }
+    }
 }
 
 fn fallback(rung: u32, ticks: u64) -> String {

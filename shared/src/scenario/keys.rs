@@ -26,6 +26,7 @@ pub(super) const SECTIONS: &[(&str, &[&str])] = &[
             "start_q_rad",
             "start_v_rad_s",
             "torque_limit_nm",
+            "speed_limit",
             "actuation_delay",
             "seed",
         ],

@@ -61,6 +61,7 @@ fn check_plant(scenario: &Scenario, links: usize) -> Result<(), ScenarioError> {
     per_link("plant.torque_limit_nm", plant.torque_limit_nm.as_ref(), links, |key, limit| {
         require(limit > 0.0, key, limit, "a positive number, or inf")
     })?;
+    require(plant.speed_limit > 0.0, "plant.speed_limit", plant.speed_limit, "a positive number, or inf")?;
     per_link("plant.friction.viscous_nm_s", Some(&plant.friction.viscous_nm_s), links, not_negative)?;
     per_link("plant.friction.coulomb_nm", Some(&plant.friction.coulomb_nm), links, not_negative)?;
     not_negative("plant.noise.q_rad", plant.noise.q_rad)?;
