@@ -91,7 +91,7 @@ fn main() -> anyhow::Result<()> {
                     CASES[case].0,
                     ratio.hop,
                     ratio.quantile,
-                    ratio.ratio
+                    ratio.ratio.unwrap_or(f64::NAN)
                 );
             }
         }

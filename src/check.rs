@@ -1,4 +1,4 @@
-//! `loopbound check` and `loopbound compare`: verdicts on recorded runs, and what is written of any verdict.
+//! `loopbound check`: verdicts on recorded runs, and what is written of any verdict.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -6,13 +6,16 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use clap::Args;
 use loopbound_monitor::Summary;
+use loopbound_monitor::folder::{FolderError, Look, Manifest, known, recorded_scenario, refuse_file_of_a_run};
 use loopbound_monitor::summary::Verdict;
 use loopbound_monitor::verdict::blocks::{self, Blocks};
-use loopbound_monitor::verdict::{comparison, expectations, judge_summary, reports};
+use loopbound_monitor::verdict::{expectations, judge_summary, reports};
+use loopbound_shared::headline::Headline;
 use loopbound_shared::say;
-use loopbound_shared::scenario::{ExpectSection, Scenario};
+use loopbound_shared::scenario::ExpectSection;
 
 use crate::exit::{Exit, Failure};
+use crate::supervise::write_whole;
 
 /// `loopbound check`.
 #[derive(Debug, Args)]
@@ -30,19 +33,7 @@ pub struct CheckArgs {
     pub json: bool,
 }
 
-/// `loopbound compare`.
-#[derive(Debug, Args)]
-pub struct CompareArgs {
-    /// Folder of the first run: the divisor.
-    pub a: PathBuf,
-    /// Folder of the second run.
-    pub b: PathBuf,
-    /// Print one JSON document instead of the table.
-    #[arg(long)]
-    pub json: bool,
-}
-
-fn read(folder: &Path, name: &str) -> Result<String, Failure> {
+pub(crate) fn read(folder: &Path, name: &str) -> Result<String, Failure> {
     let path = folder.join(name);
     std::fs::read_to_string(&path).map_err(|e| Failure::usage(format!("{}: {e}", path.display())))
 }
@@ -61,6 +52,14 @@ pub fn read_blocks(folder: &Path) -> Result<Blocks, Failure> {
 /// # Errors
 /// If its files or the expectations can't be read, or there is nothing to expect.
 pub fn check(args: &CheckArgs) -> anyhow::Result<Exit> {
+    let usage = |error: FolderError| Failure::usage(error.to_string());
+    if let Some(path) = &args.junit {
+        refuse_file_of_a_run(path, reports::FILE).map_err(usage)?;
+    }
+    let look = Look::at(&args.run).map_err(usage)?;
+    if !look.is_whole() {
+        return incomplete(args, &look);
+    }
     let path = args.run.join("summary.json");
     let mut summary: Summary = serde_json::from_str(&read(&args.run, "summary.json")?)
         .map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
@@ -69,7 +68,7 @@ pub fn check(args: &CheckArgs) -> anyhow::Result<Exit> {
             let text = std::fs::read_to_string(path).map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
             ExpectSection::from_toml(&text, &path.display().to_string())?
         }
-        None => Scenario::load(&args.run.join("scenario.toml"))?.expect,
+        None => recorded_scenario(&read(&args.run, known::SCENARIO)?, &args.run)?.expect,
     };
     if section.conditions.is_empty() {
         return Err(Failure::usage("nothing is expected: give --expect FILE").into());
@@ -78,12 +77,15 @@ pub fn check(args: &CheckArgs) -> anyhow::Result<Exit> {
     let blocks = read_blocks(&args.run)?;
     summary.verdict = expectations::judge(&section, &summary, &blocks, judge_summary(&summary));
     if let Some(path) = &args.junit {
-        write_junit(path, &summary)?;
+        write_junit(path, &summary, &args.run)?;
     }
     let mut out = say::stdout();
     if args.json {
-        writeln!(out, "{}", serde_json::to_string_pretty(&summary.verdict)?)?;
+        writeln!(out, "{}", document(&summary.verdict, &look, &summary.written)?)?;
     } else {
+        // A version that wrote no manifest drew no ids.
+        let legacy = || format!("run of {}", summary.written);
+        writeln!(out, "{}", look.manifest.as_ref().map_or_else(legacy, Manifest::whose))?;
         writeln!(out, "{}", reports::one_line(&summary.verdict))?;
         print_table(&mut out, &summary.verdict)?;
     }
@@ -91,19 +93,31 @@ pub fn check(args: &CheckArgs) -> anyhow::Result<Exit> {
     Ok(exit_of(&summary.verdict))
 }
 
-/// Compares two recorded runs.
-///
-/// # Errors
-/// If their blocks can't be read.
-pub fn compare(args: &CompareArgs) -> anyhow::Result<Exit> {
-    let ratios = comparison::compare(&read_blocks(&args.a)?, &read_blocks(&args.b)?);
+/// The verdict with the run that it is on.
+fn document(verdict: &Verdict, look: &Look, written: &str) -> anyhow::Result<String> {
+    let mut document = serde_json::to_value(verdict)?;
+    let manifest = look.manifest.as_ref();
+    document["run_id"] = serde_json::json!(manifest.map(|manifest| &manifest.run_id));
+    document["begun"] = serde_json::json!(manifest.map_or(written, |manifest| &manifest.begun));
+    Ok(serde_json::to_string_pretty(&document)?)
+}
+
+/// Nothing is judged by half a recording: the files may be those of two runs.
+fn incomplete(args: &CheckArgs, look: &Look) -> anyhow::Result<Exit> {
+    let mut summary = Summary::default();
+    summary.verdict.status = Headline::Incomplete.word().to_owned();
+    summary.verdict.reasons.clone_from(&look.faults);
+    summary.run_id = look.manifest.as_ref().map(|manifest| manifest.run_id.clone()).unwrap_or_default();
+    if let Some(path) = &args.junit {
+        write_junit(path, &summary, &args.run)?;
+    }
     let mut out = say::stdout();
     if args.json {
-        writeln!(out, "{}", serde_json::to_string_pretty(&ratios)?)?;
+        writeln!(out, "{}", document(&summary.verdict, look, "")?)?;
     } else {
-        write!(out, "{}", comparison::table(&ratios))?;
+        writeln!(out, "{}", look.headline())?;
     }
-    Ok(Exit::Held)
+    Ok(Headline::Incomplete.into())
 }
 
 /// The code that belongs to a verdict.
@@ -112,12 +126,17 @@ pub fn exit_of(verdict: &Verdict) -> Exit {
     verdict.headline().into()
 }
 
-/// Writes the verdict for a build server.
+/// Writes the verdict on the run in `folder` for a build server.
 ///
 /// # Errors
 /// If it can't be written.
-pub fn write_junit(path: &Path, summary: &Summary) -> anyhow::Result<()> {
-    std::fs::write(path, reports::junit(summary)).with_context(|| path.display().to_string())
+fn write_junit(path: &Path, summary: &Summary, folder: &Path) -> anyhow::Result<()> {
+    let text = reports::junit(summary);
+    let in_folder = std::path::absolute(path).ok() == std::path::absolute(folder.join(reports::FILE)).ok();
+    if in_folder {
+        return Ok(Look::rewrite(folder, reports::FILE, text.as_bytes()).map_err(|e| Failure::usage(e.to_string()))?);
+    }
+    write_whole(path, text.as_bytes()).with_context(|| path.display().to_string())
 }
 
 /// The table of expectations, if there are any.

@@ -13,7 +13,7 @@ use loopbound_shared::say;
 use loopbound_shared::scenario::{Mode, Scenario, Wakeup, parse_duration, parse_rate};
 
 use crate::exit::Exit;
-use crate::{bound, check, clean, doctor, fault, model, pages, ps, replay, report, roles, run, study, swap};
+use crate::{bound, check, clean, compare, doctor, fault, model, pages, ps, replay, report, roles, run, study, swap};
 
 /// kHz control loops split across processes over shared memory: latency measured to the nanosecond, and a Lyapunov
 /// bound checked live.
@@ -87,7 +87,8 @@ Examples:
   loopbound replay results                             states, torques, V and verdict again, bit for bit
   loopbound replay results --law ctc                   what if another law had given the torques
   loopbound replay results --set plant.mass_error=0.2 --json
-Exit codes: 0 identical; 1 it differs; 2 unreadable, or of another build; 3 records are missing, what is there agrees.")]
+Exit codes: 0 identical; 1 it differs; 2 unreadable, or of another build; 3 records are missing, what is there agrees; 5 the
+recording is not whole, what is there is shown.")]
     Replay(replay::ReplayArgs),
     /// Write report.html of a recorded run again, or of two runs side by side.
     #[command(after_help = "\
@@ -111,11 +112,11 @@ Examples:
 Examples:
   loopbound check results                              by the expectations of its own scenario
   loopbound check results --expect expect.toml --junit junit.xml
-Exit codes: 0 passed, 1 failed, 3 inconclusive.")]
+Exit codes: 0 passed, 1 failed, 3 inconclusive, 5 the recording is not whole.")]
     Check(check::CheckArgs),
     /// Compare two recorded runs: the ratio of each quantile with its confidence interval.
     #[command(after_help = "Examples:\n  loopbound compare before after\n  loopbound compare before after --json")]
-    Compare(check::CompareArgs),
+    Compare(compare::CompareArgs),
     /// Print the certificate of a scenario without running it.
     #[command(after_help = "\
 Examples:
@@ -373,7 +374,7 @@ fn dispatch(command: Command) -> anyhow::Result<Exit> {
         Command::Doctor(args) => doctor(args.json),
         Command::Clean => clean::run(),
         Command::Check(args) => check::check(&args),
-        Command::Compare(args) => check::compare(&args),
+        Command::Compare(args) => compare::run(&args),
         Command::Bound(args) => bound::run(&args),
         Command::Model(args) => model::run(&args),
         Command::Study(args) => study::run(&args),

@@ -5,11 +5,12 @@
 
 pub mod engine;
 
+use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
 use clap::Args;
+use loopbound_monitor::folder::{self as manifest, FolderError, Look, known, recorded_scenario};
 use loopbound_monitor::judge::Judge;
 use loopbound_monitor::recording::reader::{Item, ReadError, Recording};
 use loopbound_monitor::verdict::expectations::judge;
@@ -59,10 +60,16 @@ pub struct Difference {
 pub struct Report {
     /// Ticks computed again.
     pub ticks: u64,
+    /// The run's id; none in recordings of versions that had none, and of a file without its folder.
+    pub run_id: Option<String>,
+    /// Why the recording is not whole: one line each.
+    pub incomplete: Vec<String>,
     /// Torques computed again.
     pub torques_recomputed: u64,
-    /// Torques of foreign controllers and unscheduled cross-fades, taken as recorded.
+    /// Torques taken as recorded.
     pub torques_as_recorded: u64,
+    /// How many of them for which reason.
+    pub as_recorded_because: BTreeMap<&'static str, u64>,
     /// Whether this was a what-if: then nothing is compared.
     pub what_if: bool,
     /// The first tick after a gap in the records, where the replay stopped.
@@ -91,17 +98,21 @@ pub struct Report {
 /// If the run can't be read, is of another build, or the changed scenario is refused.
 pub fn run(args: &ReplayArgs) -> anyhow::Result<Exit> {
     let path = recording_path(&args.run);
-    let recording = Recording::open(&path).map_err(|error| refuse(&path, &error))?;
-    let recorded = Scenario::from_toml(&recording.header().scenario, &path.display().to_string())?;
-    let scenario = changed(args, &recorded)?;
-    let what_if = !args.set.is_empty() || args.law.is_some();
-    let links = recorded.links();
-    let mut report = with_links!(links, replay::<N>(recording, &scenario, what_if, &path))?;
-    let written = args.run.join("summary.json");
-    if !what_if && written.exists() {
-        let text = std::fs::read_to_string(&written).with_context(|| written.display().to_string())?;
-        let summary: Summary = serde_json::from_str(&text).with_context(|| written.display().to_string())?;
-        report.verdict_recorded = Some(summary.verdict.status);
+    let look = look(&args.run)?;
+    let incomplete = look.as_ref().map(|look| look.faults.clone()).unwrap_or_default();
+    let mut report = if incomplete.is_empty() || path.exists() {
+        again(args, &path)?
+    } else {
+        // Its run ended before the first record was on the disk.
+        Report::default()
+    };
+    if !report.what_if {
+        report.verdict_recorded = verdict_recorded(&args.run, incomplete.is_empty())?;
+    }
+    report.run_id = look.as_ref().and_then(|look| look.manifest.as_ref()).map(|manifest| manifest.run_id.clone());
+    report.incomplete = incomplete;
+    if report.cut_off && report.incomplete.is_empty() {
+        report.incomplete.push("the recording was cut off".to_owned());
     }
     let mut stdout = say::stdout();
     if args.json {
@@ -110,6 +121,42 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<Exit> {
         write!(stdout, "{}", render(&report))?;
     }
     Ok(exit_of(&report))
+}
+
+/// What is known of the folder; none for a recording that stands for itself.
+fn look(run: &Path) -> Result<Option<Look>, Failure> {
+    let usage = |error: FolderError| Failure::usage(error.to_string());
+    if run.is_dir() {
+        return Look::at(run).map(Some).map_err(usage);
+    }
+    let named_so = run.file_name().is_some_and(|name| name == known::SAMPLES);
+    let folder = run.parent().filter(|folder| named_so && folder.join(manifest::FILE).exists());
+    folder.map(Look::at).transpose().map_err(usage)
+}
+
+fn again(args: &ReplayArgs, path: &Path) -> anyhow::Result<Report> {
+    let recording = Recording::open(path).map_err(|error| refuse(path, &error))?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let recorded = recorded_scenario(&recording.header().scenario, folder)?;
+    let scenario = changed(args, &recorded)?;
+    let what_if = !args.set.is_empty() || args.law.is_some();
+    let links = recorded.links();
+    with_links!(links, replay::<N>(recording, &scenario, what_if, path))
+}
+
+/// The verdict in the folder of the run. Where files are not as written it may be unreadable, and is no more than
+/// a hint.
+fn verdict_recorded(run: &Path, whole: bool) -> Result<Option<String>, Failure> {
+    let path = run.join(known::SUMMARY);
+    if !path.exists() {
+        return Ok(None);
+    }
+    let text = std::fs::read(&path).map_err(|error| error.to_string());
+    match text.and_then(|text| serde_json::from_slice::<Summary>(&text).map_err(|error| error.to_string())) {
+        Ok(summary) => Ok(Some(summary.verdict.status)),
+        Err(error) if whole => Err(Failure::usage(format!("{}: {error}", path.display()))),
+        Err(_) => Ok(None),
+    }
 }
 
 fn recording_path(run: &Path) -> PathBuf {
@@ -252,7 +299,8 @@ impl<const N: usize> Replay<N> {
         summary.verdict = judge(&scenario.expect, &summary, self.tracker.blocks(), natural);
         if let Some(engine) = &self.engine {
             self.report.torques_recomputed = engine.recomputed;
-            self.report.torques_as_recorded = engine.as_recorded;
+            self.report.torques_as_recorded = engine.as_recorded.values().sum();
+            self.report.as_recorded_because = engine.as_recorded.iter().map(|(why, n)| (why.reason(), *n)).collect();
         }
         self.report.max_abs_e_rad = summary.tracking.max_abs_e_rad;
         self.report.v_max = summary.bound.v_max;
@@ -271,21 +319,30 @@ impl Report {
 }
 
 fn exit_of(report: &Report) -> Exit {
-    if report.differences > 0 {
-        return Exit::Failed;
-    }
-    let headline = Headline::of_word(&report.verdict).unwrap_or(Headline::Inconclusive);
-    if headline == Headline::Diverged || (report.what_if && headline.is_bad()) {
-        return headline.into();
-    }
-    if report.is_whole() { Exit::Held } else { Exit::Inconclusive }
+    let counts = |verdict: &Headline| *verdict == Headline::Diverged || (report.what_if && verdict.is_bad());
+    let verdict = Headline::of_word(&report.verdict).filter(counts);
+    let found = [
+        (report.differences > 0).then_some(Headline::Failed),
+        verdict,
+        (!report.incomplete.is_empty()).then_some(Headline::Incomplete),
+        (!report.is_whole()).then_some(Headline::Inconclusive),
+    ];
+    Headline::first_of(found.into_iter().flatten()).unwrap_or(Headline::Held).into()
 }
 
 fn render(report: &Report) -> String {
-    let mut lines = vec![format!(
-        "{} ticks computed again; {} torques computed, {} taken as recorded",
+    let mut lines = Vec::new();
+    if !report.incomplete.is_empty() {
+        let whose = report.run_id.as_ref().map_or_else(String::new, |run_id| format!("run {run_id}: "));
+        lines.push(format!("INCOMPLETE: {whose}{}", report.incomplete.join("; ")));
+    }
+    let because = report.as_recorded_because.iter().map(|(why, count)| format!("{count} {why}"));
+    let because = because.collect::<Vec<_>>().join(", ");
+    let because = if because.is_empty() { String::new() } else { format!(" ({because})") };
+    lines.push(format!(
+        "{} ticks computed again; {} torques computed, {} taken as recorded{because}",
         report.ticks, report.torques_recomputed, report.torques_as_recorded
-    )];
+    ));
     match &report.difference {
         Some(Difference { tick, what, values: [was, is] }) => lines.push(format!(
             "DIFFERENT from tick {tick} on: {what} was {was:?} and is {is:?} ({} values differ)",
@@ -296,7 +353,15 @@ fn render(report: &Report) -> String {
             let v = report.v_max.map_or_else(|| "none".to_owned(), |v| format!("{v:.6}"));
             lines.push(format!("what if: largest error once settled {e}, largest V {v}"));
         }
-        None => lines.push("identical to the bit: states, measurements, disturbances, torques, V".to_owned()),
+        None if report.ticks == 0 => lines.push("nothing was recorded that could be compared".to_owned()),
+        None => lines.push(format!(
+            "identical to the bit: states, measurements, disturbances, V and {}",
+            match (report.torques_recomputed, report.torques_as_recorded) {
+                (0, _) => "no torque: none could be computed".to_owned(),
+                (_, 0) => "all torques".to_owned(),
+                (computed, _) => format!("the {computed} torques that were computed"),
+            }
+        )),
     }
     if let Some(tick) = report.stopped_at_gap {
         lines.push(format!("stopped before tick {tick}: records are missing there"));

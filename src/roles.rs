@@ -55,6 +55,8 @@ pub fn monitor(args: cli::MonitorArgs) -> anyhow::Result<Exit> {
         let left = loopbound_monitor::tui::run(&args, stop)?;
         return Ok(if left == Left::Interrupted { Exit::Interrupted } else { Exit::Held });
     }
-    loopbound_monitor::run(&args, stop)?;
-    Ok(Exit::Held)
+    let outcome = loopbound_monitor::run(&args, stop)?;
+    // The launcher looks at the recording of its own monitor itself.
+    let whole = outcome.summary.recording.is_none_or(|recording| recording.whole);
+    Ok(if whole || args.managed { Exit::Held } else { Exit::RoleDied })
 }

@@ -1,7 +1,7 @@
 //! `loopbound run`: from a scenario to one screen.
 
 use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Context as _;
 use clap::Args;
@@ -17,6 +17,7 @@ use crate::cli::ScenarioArgs;
 use crate::exit::{Exit, Failure};
 use crate::guests::Guest;
 use crate::progress::Progress;
+use crate::results::{self, Asked};
 use crate::signals::Stop;
 use crate::supervise::{self, Options, Outcome, ProcessRecord, Record};
 
@@ -59,12 +60,11 @@ pub struct RunArgs {
 /// If the scenario or the group is refused, or the group could not start.
 pub fn run(args: &RunArgs) -> anyhow::Result<Exit> {
     let scenario = scenario(args)?;
-    let out = args.out.as_deref().map(prepare_folder).transpose()?;
+    let asked = args.out.as_deref().map(|folder| Asked::for_run(folder, &scenario)).transpose()?;
     // From here on a signal ends the group in order.
     let stop = Stop::install().context("signals")?;
     let options = Options {
         group: args.group.clone().unwrap_or_else(|| format!("lb-{}", std::process::id())),
-        out: out.clone(),
         progress: progress(args, &scenario).context("progress")?,
         quiet: args.quiet || args.tui,
         stop: &stop,
@@ -75,9 +75,9 @@ pub fn run(args: &RunArgs) -> anyhow::Result<Exit> {
     }
     let server = args.foxglove.as_ref().map(|address| Guest::server(&options.group, address, quiet)).transpose()?;
     let view = args.tui.then(|| Guest::view(&options.group)).transpose()?;
-    let outcome = supervise::supervise(&scenario, &options)?;
+    let outcome = supervise::supervise(&scenario, &options, asked)?;
     [view, server].into_iter().flatten().for_each(Guest::leave);
-    report(args, out.as_deref(), outcome)
+    report(args, outcome)
 }
 
 fn scenario(args: &RunArgs) -> anyhow::Result<Scenario> {
@@ -90,13 +90,6 @@ fn scenario(args: &RunArgs) -> anyhow::Result<Scenario> {
     Ok(scenario)
 }
 
-/// Made before anything starts: a run whose files can't be written is better not begun.
-fn prepare_folder(folder: &Path) -> anyhow::Result<PathBuf> {
-    let fail = |e: std::io::Error| Failure::usage(format!("--out {}: {e}", folder.display()));
-    std::fs::create_dir_all(folder).map_err(fail)?;
-    Ok(folder.canonicalize().map_err(fail)?)
-}
-
 /// On a terminal only. Nothing when piped or with `--json`.
 fn progress(args: &RunArgs, scenario: &Scenario) -> std::io::Result<Progress> {
     let hidden = args.quiet || args.json || args.tui || !say::err_to_terminal();
@@ -104,14 +97,13 @@ fn progress(args: &RunArgs, scenario: &Scenario) -> std::io::Result<Progress> {
     Progress::start(scenario.loop_.ticks(), bar)
 }
 
-fn report(args: &RunArgs, out: Option<&Path>, outcome: Outcome) -> anyhow::Result<Exit> {
-    let Outcome { record, summary, stopped } = outcome;
-    let summary = summary.map(|value| complete(value, &record)).transpose()?;
-    if let (Some(folder), Some(summary)) = (out, &summary) {
-        let text = serde_json::to_string_pretty(summary)?;
-        supervise::write_whole(&folder.join("summary.json"), text.as_bytes()).context("summary.json")?;
-        crate::report::write(&[folder], &folder.join("report.html")).context("report.html")?;
-        check::write_junit(&folder.join("junit.xml"), summary)?;
+fn report(args: &RunArgs, outcome: Outcome) -> anyhow::Result<Exit> {
+    let Outcome { record, summary, results, stopped } = outcome;
+    let mut summary = summary.map(|value| complete(value, &record)).transpose()?;
+    match (results, &mut summary) {
+        (Some(results), Some(summary)) => results::finish(results, summary),
+        (Some(results), None) => results.leave_unfinished("the monitor left no summary"),
+        (None, _) => {}
     }
     let exit = exit_of(stopped, &record, summary.as_ref());
     let mut stdout = say::stdout();
@@ -133,7 +125,7 @@ fn report(args: &RunArgs, out: Option<&Path>, outcome: Outcome) -> anyhow::Resul
         check::annotate(&summary.verdict);
     }
     let notes = if args.quiet { Vec::new() } else { said(&record) };
-    for line in errors(&record, summary.is_some()).into_iter().chain(notes) {
+    for line in errors(&record, summary.as_ref()).into_iter().chain(notes) {
         say::err!("loopbound: {line}");
     }
     Ok(exit)
@@ -146,7 +138,7 @@ fn complete(mut value: Value, record: &Record) -> anyhow::Result<Summary> {
 }
 
 /// What went wrong with the group itself, said in every case.
-fn errors(record: &Record, has_summary: bool) -> Vec<String> {
+fn errors(record: &Record, summary: Option<&Summary>) -> Vec<String> {
     let mut errors = Vec::new();
     if record.end != "done" {
         errors.push(format!("the group ended early: {}", record.end));
@@ -155,8 +147,13 @@ fn errors(record: &Record, has_summary: bool) -> Vec<String> {
     for death in record.deaths.iter().filter(|d| !d.recovered) {
         errors.push(format!("{} {}: {} in tick {}, not recovered", death.role, death.id, death.how, death.tick));
     }
-    if !has_summary {
+    let Some(summary) = summary else {
         errors.push("the monitor left no summary".to_owned());
+        return errors;
+    };
+    if let Some(recording) = summary.recording.as_ref().filter(|recording| !recording.whole) {
+        let why = recording.error.as_deref().unwrap_or("the disk was too slow");
+        errors.push(format!("the recording is not whole: {why}; {}", summary.dropped));
     }
     errors
 }
@@ -174,7 +171,8 @@ fn exit_of(stopped: Option<Exit>, record: &Record, summary: Option<&Summary>) ->
     if let Some(exit) = stopped {
         return exit;
     }
-    if record.unrecovered().is_some() || summary.is_none() {
+    let lost = |summary: &Summary| summary.recording.as_ref().is_some_and(|recording| !recording.whole);
+    if record.unrecovered().is_some() || summary.is_none_or(lost) {
         return Exit::RoleDied;
     }
     summary.map_or(Exit::RoleDied, |summary| check::exit_of(&summary.verdict))
@@ -184,6 +182,7 @@ fn exit_of(stopped: Option<Exit>, record: &Record, summary: Option<&Summary>) ->
 mod tests {
     use super::*;
     use crate::supervise::Death;
+    use loopbound_monitor::summary::RecordingSummary;
 
     fn died(recovered: bool) -> Record {
         let death =
@@ -210,8 +209,18 @@ mod tests {
     }
 
     #[test]
+    fn a_run_that_held_and_is_not_recorded_as_it_was_asked_to_be_is_incomplete() {
+        let mut summary = judged("held");
+        summary.recording = Some(RecordingSummary { whole: true, error: None });
+        assert_eq!(exit_of(None, &Record::default(), Some(&summary)), Exit::Held);
+        summary.recording = Some(RecordingSummary { whole: false, error: None });
+        assert_eq!(exit_of(None, &Record::default(), Some(&summary)), Exit::RoleDied);
+        assert_eq!(exit_of(Some(Exit::Interrupted), &Record::default(), Some(&summary)), Exit::Interrupted);
+    }
+
+    #[test]
     fn an_unrecovered_death_is_named_with_its_tick() {
-        let errors = errors(&died(false), false);
+        let errors = errors(&died(false), None);
         assert!(errors[0].contains("controller 1: killed (SIGKILL) in tick 5, not recovered"), "{errors:?}");
     }
 }

@@ -16,10 +16,12 @@ mod swapping;
 mod watchdog;
 
 use std::collections::VecDeque;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::Ordering::SeqCst;
 
 use anyhow::Context as _;
+use loopbound_monitor::files::LOST_FILE;
+use loopbound_monitor::folder::Results;
 use loopbound_shared::cast;
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::{Bell, ControlBlock};
@@ -34,6 +36,7 @@ use loopbound_shared::topics::Topic as _;
 use crate::exit::{Exit, Failure};
 use crate::processes::{self, Process};
 use crate::progress::Progress;
+use crate::results::Asked;
 use crate::signals::Stop;
 use child::Child;
 use control::Control;
@@ -65,8 +68,6 @@ const ANSWER_NS: u64 = 1_000_000_000;
 pub struct Options<'a> {
     /// Name of the group.
     pub group: String,
-    /// Where the files of the run go.
-    pub out: Option<PathBuf>,
     /// Shows how far the run is.
     pub progress: Progress,
     /// No notes while it runs.
@@ -82,6 +83,8 @@ pub struct Outcome {
     pub record: Record,
     /// The monitor's summary, if it left one.
     pub summary: Option<serde_json::Value>,
+    /// The folder of the run, if one was asked for and everyone became ready.
+    pub results: Option<Results>,
     /// The signal that ended the run early, as an exit code.
     pub stopped: Option<Exit>,
 }
@@ -129,6 +132,8 @@ struct Supervisor<'a> {
     fault_until_ns: u64,
     /// For the account of a swap; looked at while one is under way.
     records: Subscriber<TickRecord>,
+    /// Whether it was said that the run is not recorded any more.
+    loss_told: bool,
     /// The number of the next controller that is started.
     next_id: u32,
     deaths: Vec<Death>,
@@ -147,23 +152,30 @@ struct Supervisor<'a> {
     group: Group,
 }
 
-/// Runs `scenario` as a group of processes to its end.
+/// Runs `scenario` as a group of processes to its end. The folder of the run is taken when all of them are ready.
 ///
 /// # Errors
 /// If the group can't be made (then nothing was started), or did not start (then nothing is left of it).
-pub fn supervise(scenario: &Scenario, options: &Options<'_>) -> anyhow::Result<Outcome> {
+pub fn supervise(scenario: &Scenario, options: &Options<'_>, asked: Option<Asked>) -> anyhow::Result<Outcome> {
     let mut supervisor = Supervisor::create(scenario, options)?;
     let file = supervisor.group.file("scenario.toml");
-    for process in processes::table(scenario, &file, options.out.as_deref()) {
+    for process in processes::table(scenario, &file, asked.as_ref().map(Asked::path)) {
         let child = supervisor.start_child(process, 0)?;
         supervisor.children.push(child);
     }
+    let mut results = None;
     let end = match supervisor.wait_until_ready() {
-        None => supervisor.run(),
+        None => match asked.map(|asked| asked.take(&supervisor.group)).transpose() {
+            Ok(taken) => {
+                results = taken;
+                supervisor.run()
+            }
+            Err(failure) => End::NotStarted(failure),
+        },
         Some(end) => end,
     };
     options.progress.finish();
-    supervisor.finish(end)
+    Ok(Outcome { results, ..supervisor.finish(end)? })
 }
 
 impl<'a> Supervisor<'a> {
@@ -193,6 +205,7 @@ impl<'a> Supervisor<'a> {
             hanging: None,
             fault_until_ns: 0,
             records: node.subscriber(TickRecord::DEPTH)?.uncounted(),
+            loss_told: false,
             next_id: cast::controllers(scenario).iter().map(|part| part.id).max().unwrap_or(0) + 1,
             deaths: Vec::new(),
             roster: RosterFile::default(),
@@ -296,6 +309,7 @@ impl<'a> Supervisor<'a> {
             self.clean_up_now_and_then();
             self.note_strangers();
             self.prolong_if_undecided();
+            self.tell_loss();
             self.options.progress.set_position(self.tick());
             if watchdog.stalled(clock::now_ns(), self.tick()) {
                 self.kill_who_is_silent();
@@ -503,6 +517,17 @@ impl<'a> Supervisor<'a> {
         if let Some(kind) = first {
             self.strangers_noted = true;
             self.note(&format!("a process that is not of this run sends it a {}: refused and counted", kind.words()));
+        }
+    }
+
+    /// Says once, and at once, that the monitor can't record any more.
+    fn tell_loss(&mut self) {
+        if self.loss_told {
+            return;
+        }
+        if let Ok(why) = std::fs::read_to_string(self.group.file(LOST_FILE)) {
+            self.loss_told = true;
+            self.note(&format!("the recording has ended: {why}; the run goes on"));
         }
     }
 

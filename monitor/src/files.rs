@@ -1,37 +1,40 @@
 //! The files of a run, written by a thread of their own: `samples.mcap`, `samples.csv`, `events.jsonl`, `latency.hlog`,
-//! and at the end `summary.json`, `scenario.toml`, `blocks.jsonl` and `latency/*.{hgrm,svg}`.
+//! and at the end `summary.json`, `blocks.jsonl` and `latency/*.{hgrm,svg}`.
 //!
 //! The queue to the thread is bounded. What finds it full is counted as dropped, so that a slow disc costs lines of a
-//! file and never a record; only in lockstep, where the plant can wait, the monitor waits too.
+//! file and never a record; only in lockstep, where the plant can wait, the monitor waits too. What can't be written at
+//! all, since the disc is full, ends the recording and not the watching: the loss is named at once, everything after it
+//! is counted, and the folder stays unfinished.
+
+mod writer;
 
 use std::fmt::Write as _;
-use std::fs::{self, File};
-use std::io::{self, BufWriter, Write};
-use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::io;
+use std::path::PathBuf;
+use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
+use std::sync::{Arc, OnceLock};
 use std::thread::JoinHandle;
-use std::time::Duration;
 
 use hdrhistogram::Histogram;
-use hdrhistogram::serialization::V2DeflateSerializer;
-use hdrhistogram::serialization::interval_log::{IntervalLogWriterBuilder, Tag};
 
+use loopbound_shared::run_id::RunId;
 use loopbound_shared::sample::{Announce, TickRecord};
 
 use crate::event::Event;
+use crate::folder::{Results, known};
 use crate::hops::{Hop, Hops};
-use crate::recording::{About, McapWriter};
-use crate::summary::{Dropped, Summary};
-use crate::traces::Traces;
+use crate::recording::About;
+use crate::summary::{Dropped, RecordingSummary, Summary};
 use crate::tracker::Row;
 use crate::verdict::blocks::{self, Blocks};
+use writer::Written;
 
+/// The file in the group's folder by which a managed monitor tells that it can't record any more, and why.
+pub const LOST_FILE: &str = "recording-lost";
 /// Entries that wait for the disc: more than a second of ticks at 10 kHz.
 const QUEUE: usize = 16_384;
-/// Interval logs give the largest value in milliseconds.
-const NS_PER_MS: f64 = 1e6;
 
-enum Entry {
+pub(crate) enum Entry {
     /// Boxed: a queue of whole records would be tens of megabytes, full or not.
     Tick(Box<(TickRecord, Row)>),
     Announce(Box<Announce>),
@@ -43,38 +46,58 @@ enum Entry {
     },
 }
 
-/// The sending end of the writer's queue.
-pub struct Recorder {
-    folder: PathBuf,
-    queue: Option<SyncSender<Entry>>,
-    writer: Option<JoinHandle<io::Result<()>>>,
-    lossless: bool,
-    dropped: Dropped,
+impl Entry {
+    fn drop_into(&self, dropped: &mut Dropped) {
+        match self {
+            Self::Tick(_) => dropped.samples += 1,
+            Self::Event(_) | Self::Announce(_) => dropped.events += 1,
+            Self::Interval { .. } => dropped.intervals += 1,
+        }
+    }
 }
 
+/// Whose the folder is that the files go into.
+pub enum Place {
+    /// The launcher takes it for the run, after everyone is ready and before the first tick.
+    Launcher(PathBuf, RunId),
+    /// It was taken by this process.
+    Own(Results),
+}
+
+/// The sending end of the writer's queue.
+pub struct Recorder {
+    queue: Option<SyncSender<Entry>>,
+    writer: Option<JoinHandle<Written>>,
+    lossless: bool,
+    dropped: Dropped,
+    lost: Lost,
+    results: Option<Results>,
+}
+
+/// Why nothing more is written, once that is so.
+pub(crate) type Lost = Arc<OnceLock<String>>;
+
 impl Recorder {
-    /// Opens the files in `folder` (made if absent) and starts the writer. `lossless`: wait for the disc instead of
-    /// dropping. `trace_s`: how much of the samples before and after a change of the controller in charge goes into a
-    /// file of its own.
+    /// Starts the writer; it opens the files with the first tick. `lossless`: wait for the disc instead of dropping.
+    /// `trace_s`: how much of the samples before and after a change of the controller in charge goes into a file of its
+    /// own.
     ///
     /// # Errors
-    /// If a file can't be made.
-    pub fn start(folder: &Path, about: About, lossless: bool, trace_s: f64) -> io::Result<Self> {
-        fs::create_dir_all(folder)?;
-        let open = |name: &str| File::create(folder.join(name)).map(BufWriter::new);
-        let (mut samples, events, latency) = (open("samples.csv")?, open("events.jsonl")?, open("latency.hlog")?);
-        samples.write_all(csv_header(about.links).as_bytes())?;
-        let (links, wall_start_ns) = (about.links, about.started.wall_ns);
-        let recording = McapWriter::create(&folder.join("samples.mcap"), about)?;
+    /// If no thread can be started.
+    pub fn start(place: Place, about: About, lossless: bool, trace_s: f64) -> io::Result<Self> {
         let (queue, entries) = sync_channel(QUEUE);
-        // Both bounds of V: the promise is in every row of the samples, the certified level only here.
-        let header = format!("{},V_level\n", csv_header(links).trim_end());
-        let traces = Traces::new(folder.join("changes"), header, trace_s);
-        let tables = Tables { recording, samples, events, latency, traces };
-        let write = move || write_entries(&entries, links, wall_start_ns, tables);
+        let lost = Lost::default();
+        let of_writer = Arc::clone(&lost);
+        let write = move || writer::write(&entries, place, about, trace_s, &of_writer);
         let writer = std::thread::Builder::new().name("recorder".to_owned()).spawn(write)?;
-        let (folder, dropped) = (folder.to_owned(), Dropped::default());
-        Ok(Self { folder, queue: Some(queue), writer: Some(writer), lossless, dropped })
+        let dropped = Dropped::default();
+        Ok(Self { queue: Some(queue), writer: Some(writer), lossless, dropped, lost, results: None })
+    }
+
+    /// Why the recording has ended before the run, once it has.
+    #[must_use]
+    pub fn lost(&self) -> Option<&str> {
+        self.lost.get().map(String::as_str)
     }
 
     fn send(&mut self, entry: Entry) {
@@ -84,11 +107,8 @@ impl Recorder {
         } else {
             queue.try_send(entry).map_err(|(TrySendError::Full(entry) | TrySendError::Disconnected(entry))| entry).err()
         };
-        match refused {
-            None => {}
-            Some(Entry::Tick(_)) => self.dropped.samples += 1,
-            Some(Entry::Event(_) | Entry::Announce(_)) => self.dropped.events += 1,
-            Some(Entry::Interval { .. }) => self.dropped.intervals += 1,
+        if let Some(entry) = refused {
+            entry.drop_into(&mut self.dropped);
         }
     }
 
@@ -112,141 +132,76 @@ impl Recorder {
         self.send(Entry::Interval { start_ns, duration_ns, hops: Box::new(hops.clone()) });
     }
 
-    /// Waits until everything queued is on disc. Returns what was dropped.
-    ///
-    /// # Errors
-    /// What the writer met: a full disc, say.
-    pub fn finish(&mut self) -> io::Result<Dropped> {
+    /// Waits until everything queued is on disc, or lost. Returns what was dropped.
+    pub fn finish(&mut self) -> Dropped {
         self.queue = None;
         match self.writer.take().map(JoinHandle::join) {
-            Some(Ok(result)) => result?,
-            Some(Err(_)) => return Err(io::Error::other("the thread that writes the files has ended badly")),
+            Some(Ok(Written { results, dropped })) => {
+                self.results = results;
+                self.dropped.samples += dropped.samples;
+                self.dropped.events += dropped.events;
+                self.dropped.intervals += dropped.intervals;
+            }
+            Some(Err(_)) => {
+                let _ = self.lost.set("the thread that writes the files has ended badly".to_owned());
+            }
             None => {}
         }
-        Ok(self.dropped)
+        self.dropped
     }
 
-    /// Writes the files that belong to the end of a run.
-    ///
-    /// # Errors
-    /// If a file can't be written.
-    pub fn write_end(&self, summary: &Summary, hops: &Hops, blocks: &Blocks, scenario_toml: &str) -> io::Result<()> {
-        write_atomically(&self.folder.join("scenario.toml"), scenario_toml.as_bytes())?;
-        fs::write(self.folder.join(blocks::FILE), blocks.to_text())?;
-        let folder = self.folder.join("latency");
-        fs::create_dir_all(&folder)?;
-        for hop in Hop::ALL {
-            let text = percentiles(hops.of(hop).histogram());
-            fs::write(folder.join(format!("{}.hgrm", hop.name())), text)?;
-            let svg = crate::plot::percentile_plot(hop.name(), hops.of(hop).histogram());
-            fs::write(folder.join(format!("{}.svg", hop.name())), svg)?;
+    /// What a summary says of the recording.
+    #[must_use]
+    pub fn state(&self) -> RecordingSummary {
+        let whole = self.lost.get().is_none() && self.dropped == Dropped::default();
+        RecordingSummary { whole, error: self.lost.get().cloned() }
+    }
+
+    /// Writes the files that belong to the end of a run, and `summary` with what became of the recording. `ends`: nobody
+    /// writes anything after this process.
+    pub fn write_end(&mut self, summary: &mut Summary, hops: &Hops, blocks: &Blocks, ends: bool) {
+        summary.recording = Some(self.state());
+        let Some(mut results) = self.results.take() else { return };
+        if let Err(error) = write_figures(&mut results, summary, hops, blocks) {
+            let _ = self.lost.set(format!("{error}, at the end of the run"));
+            summary.recording = Some(self.state());
         }
-        write_atomically(&self.folder.join("summary.json"), summary_text(summary)?.as_bytes())
-    }
-}
-
-/// The text of `summary.json`.
-pub(crate) fn summary_text(summary: &Summary) -> io::Result<String> {
-    let mut text = serde_json::to_string_pretty(summary)?;
-    text.push('\n');
-    Ok(text)
-}
-
-pub(crate) fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut beside = path.as_os_str().to_owned();
-    beside.push(format!(".{}.tmp", std::process::id()));
-    fs::write(&beside, bytes)?;
-    fs::rename(&beside, path)
-}
-
-/// What is written while the run lasts.
-struct Tables {
-    recording: McapWriter,
-    samples: BufWriter<File>,
-    events: BufWriter<File>,
-    latency: BufWriter<File>,
-    traces: Traces,
-}
-
-fn write_entries(entries: &Receiver<Entry>, links: usize, wall_start_ns: u64, tables: Tables) -> io::Result<()> {
-    let Tables { mut recording, mut samples, mut events, mut latency, mut traces } = tables;
-    let mut serializer = V2DeflateSerializer::new();
-    let mut log = IntervalLogWriterBuilder::new()
-        .add_comment("latencies in ns, one tag a hop; start-up left out")
-        .with_start_time(epoch(wall_start_ns))
-        .with_base_time(epoch(wall_start_ns))
-        .with_max_value_divisor(NS_PER_MS)
-        .begin_log_with(&mut latency, &mut serializer)?;
-    let mut line = String::with_capacity(1024);
-    while let Ok(entry) = entries.recv() {
-        match entry {
-            Entry::Tick(tick) => {
-                let (record, row) = &*tick;
-                recording.tick(record, row)?;
-                line.clear();
-                csv_line(&mut line, row, links);
-                samples.write_all(line.as_bytes())?;
-                line.truncate(line.trim_end().len());
-                let level = row.lyapunov_level.map_or_else(String::new, |level| format!("{level:?}"));
-                let _ = writeln!(line, ",{level}");
-                traces.line(row.tick, row.t_s, row.active, &line)?;
-            }
-            Entry::Announce(announce) => recording.announce(&announce)?,
-            Entry::Event(event) => {
-                recording.event(&event)?;
-                writeln!(events, "{}", event.to_json())?;
-            }
-            Entry::Interval { start_ns, duration_ns, hops } => {
-                for hop in Hop::ALL {
-                    let tag = Tag::new(hop.name());
-                    let (start, duration) = (Duration::from_nanos(start_ns), Duration::from_nanos(duration_ns));
-                    log.write_histogram(hops.of(hop).histogram(), start, duration, tag)
-                        .map_err(|e| io::Error::other(format!("latency.hlog: {e:?}")))?;
+        match self.lost.get() {
+            Some(why) => results.leave_unfinished(why),
+            None if !self.state().whole => results.leave_unfinished(&self.dropped.to_string()),
+            None => {
+                let saved = if ends { results.finish() } else { results.save() };
+                if let Err(error) = saved {
+                    let _ = self.lost.set(format!("{}: {error}, at the end of the run", crate::folder::FILE));
+                    summary.recording = Some(self.state());
                 }
             }
         }
     }
-    drop(log);
-    recording.finish()?;
-    samples.flush()?;
-    events.flush()?;
-    latency.flush()
 }
 
-fn epoch(wall_ns: u64) -> std::time::SystemTime {
-    std::time::UNIX_EPOCH + Duration::from_nanos(wall_ns)
+fn write_figures(results: &mut Results, summary: &Summary, hops: &Hops, blocks: &Blocks) -> io::Result<()> {
+    let mut write = |name: &str, bytes: &[u8]| {
+        results.write(name, bytes).map_err(|error| io::Error::new(error.kind(), format!("{name}: {error}")))
+    };
+    write(known::SUMMARY, &summary_text(summary)?)?;
+    write(blocks::FILE, blocks.to_text().as_bytes())?;
+    for hop in Hop::ALL {
+        write(&format!("latency/{}.hgrm", hop.name()), percentiles(hops.of(hop).histogram()).as_bytes())?;
+        let svg = crate::plot::percentile_plot(hop.name(), hops.of(hop).histogram());
+        write(&format!("latency/{}.svg", hop.name()), svg.as_bytes())?;
+    }
+    Ok(())
 }
 
-fn csv_header(links: usize) -> String {
-    let mut header = "tick,t_s".to_owned();
-    for name in ["q", "v", "qd", "vd", "ad", "tau"] {
-        for link in 1..=links {
-            let _ = write!(header, ",{name}{link}");
-        }
-    }
-    header.push_str(",V,V_bound,round_trip_ns,active\n");
-    header
-}
-
-/// One line. Writing to a string cannot fail.
-fn csv_line(line: &mut String, row: &Row, links: usize) {
-    let _ = write!(line, "{},{:?}", row.tick, row.t_s);
-    for values in [&row.q, &row.v, &row.q_d, &row.v_d, &row.a_d, &row.tau] {
-        for value in values.iter().take(links) {
-            let _ = write!(line, ",{value:?}");
-        }
-    }
-    for value in [row.lyapunov, row.lyapunov_bound] {
-        line.push(',');
-        if let Some(value) = value {
-            let _ = write!(line, "{value:?}");
-        }
-    }
-    line.push(',');
-    if let Some(value_ns) = row.round_trip_ns {
-        let _ = write!(line, "{value_ns}");
-    }
-    let _ = writeln!(line, ",{}", row.active);
+/// `summary.json` as it is written.
+///
+/// # Errors
+/// If it can't be expressed.
+pub fn summary_text(summary: &Summary) -> io::Result<Vec<u8>> {
+    let mut text = serde_json::to_string_pretty(summary)?;
+    text.push('\n');
+    Ok(text.into_bytes())
 }
 
 /// A percentile file as the plotters of HdrHistogram read it, in µs.
@@ -270,17 +225,26 @@ pub fn percentiles(histogram: &Histogram<u64>) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+    use std::path::Path;
+
     use super::*;
+    use crate::folder::{Begin, Claim, Kind, Look, State};
     use crate::recording::Started;
     use crate::summary::SCHEMA;
     use crate::testing::good;
     use crate::tracker::Tracker;
     use hdrhistogram::serialization::interval_log::{IntervalLogIterator, LogEntry};
+    use std::time::Duration;
 
     /// A run of 3000 ticks with an interval every 1000, and an event each.
     fn record_into(folder: &Path) -> Summary {
         let mut tracker: Tracker<3> = crate::testing::tracker();
-        let mut recorder = Recorder::start(folder, about(), true, 0.1).unwrap();
+        let claim = Claim::prepare(folder, Kind::Run).unwrap();
+        let run_id = about().run_id.parse().unwrap();
+        let begin = Begin { run_id, group: "g", scenario: Some("[loop]\n"), waypoints: None };
+        let place = Place::Own(claim.begin(&begin).unwrap());
+        let mut recorder = Recorder::start(place, about(), true, 0.1).unwrap();
         for tick in 0..3000 {
             let mut record = good(tick);
             record.q[2] = 0.125;
@@ -297,14 +261,22 @@ mod tests {
         }
         tracker.finish();
         let mut summary = tracker.summarise();
-        summary.dropped = recorder.finish().unwrap();
-        recorder.write_end(&summary, tracker.hops(), tracker.blocks(), "[loop]\n").unwrap();
+        summary.dropped = recorder.finish();
+        recorder.write_end(&mut summary, tracker.hops(), tracker.blocks(), true);
+        assert!(recorder.state().whole, "{:?}", recorder.state());
         summary
     }
 
     fn about() -> About {
         let started = Started { wall_ns: 1_700_000_000_250_000_000, monotonic_ns: None };
-        About { links: 3, length_m: [1.0; 7], started, group: "g".into(), scenario: "[loop]\n".into() }
+        About {
+            links: 3,
+            length_m: [1.0; 7],
+            started,
+            group: "g".into(),
+            scenario: "[loop]\n".into(),
+            run_id: "00000000000000ab".into(),
+        }
     }
 
     fn temporary(what: &str) -> PathBuf {
@@ -361,7 +333,39 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_that_can_not_be_made_is_an_error_with_nothing_started() {
-        assert!(Recorder::start(Path::new("/proc/none"), about(), false, 0.1).is_err());
+    fn the_folder_is_whole_in_the_end_and_every_file_says_whose_it_is() {
+        let folder = temporary("whole");
+        let summary = record_into(&folder);
+        let look = Look::at(&folder).unwrap();
+        assert!(look.is_whole(), "{:?}", look.faults);
+        let manifest = look.manifest.unwrap();
+        assert_eq!((manifest.run_id.as_str(), manifest.state), ("00000000000000ab", State::Finished));
+        for name in
+            ["summary.json", "samples.mcap", "samples.csv", "latency.hlog", "blocks.jsonl", "latency/wakeup.svg"]
+        {
+            assert!(manifest.files.contains_key(name), "{name}: {:?}", manifest.files.keys());
+        }
+        assert_eq!(summary.recording.map(|recording| recording.whole), Some(true));
+        let log = fs::read_to_string(folder.join("latency.hlog")).unwrap();
+        assert_eq!(log.lines().nth(1), Some("#run_id 00000000000000ab"));
+        let recording = crate::recording::reader::Recording::open(&folder.join("samples.mcap")).unwrap();
+        assert_eq!(recording.header().run_id, "00000000000000ab");
+        fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn a_folder_that_another_run_has_taken_loses_every_row_and_no_row_of_the_other() {
+        let folder = temporary("taken");
+        let summary = record_into(&folder);
+        let mut tracker: Tracker<3> = crate::testing::tracker();
+        let place = Place::Launcher(folder.clone(), loopbound_shared::run_id::RunId::draw());
+        let mut recorder = Recorder::start(place, about(), true, 0.1).unwrap();
+        (0..100).for_each(|tick| recorder.tick(&good(tick), tracker.feed(&good(tick)).unwrap()));
+        assert_eq!(recorder.finish().samples, 100);
+        assert!(recorder.lost().unwrap().contains("another run has taken the folder"), "{:?}", recorder.lost());
+        assert!(!recorder.state().whole);
+        let back: Summary = serde_json::from_slice(&fs::read(folder.join("summary.json")).unwrap()).unwrap();
+        assert_eq!(back.ticks_seen, summary.ticks_seen);
+        fs::remove_dir_all(folder).unwrap();
     }
 }

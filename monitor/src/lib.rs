@@ -10,6 +10,7 @@
 //! | [`event`] | what is noted besides figures |
 //! | [`summary`], [`verdict`], [`mod@render`] | the keys of `summary.json`, what they come to, one screen of text |
 //! | [`chart`] | pictures, as SVG and PNG |
+//! | [`folder`] | whose a folder of results is, and whether it is all there |
 //! | [`files`], `traces`, [`plot`] | the files of a run, written by a thread of their own; percentile plots |
 //! | [`log`] | the histograms of recorded runs, added up |
 //! | [`recording`] | `samples.mcap`: what viewers open and `replay` reads |
@@ -25,6 +26,7 @@ pub mod chart;
 pub mod divergence;
 pub mod event;
 pub mod files;
+pub mod folder;
 pub mod hops;
 mod host;
 pub mod jitter;

@@ -12,9 +12,7 @@ pub mod scene;
 pub mod views;
 
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::io;
-use std::path::Path;
 
 use loopbound_shared::chain::LINKS_MAX;
 use loopbound_shared::layout::content_of;
@@ -24,6 +22,7 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::write::{NoSeek, WriteOptions, Writer};
 
 use crate::event::Event;
+use crate::folder::{Shared, Stamp, Stream};
 use crate::tracker::Row;
 use channels::Channel;
 use views::Views;
@@ -47,6 +46,8 @@ pub struct About {
     pub group: String,
     /// The scenario with all defaults filled in, as TOML.
     pub scenario: String,
+    /// The run's id.
+    pub run_id: String,
 }
 
 /// When a recording began, on two clocks.
@@ -71,13 +72,16 @@ impl Started {
 
 /// Writes a recording. A chunk reaches the file whole or not at all; no byte waits in this process beyond the open
 /// chunk.
-pub struct McapWriter {
-    writer: Writer<NoSeek<File>>,
+pub(crate) struct McapWriter {
+    writer: Writer<NoSeek<Shared>>,
+    file: Shared,
     /// The number in the file of each channel, in the order of [`Channel::ALL`].
     numbers: [u16; Channel::ALL.len()],
     views: Views,
     sequence: u32,
     last_plant_ns: u64,
+    /// Ticks in the open chunk.
+    unsaved: u64,
 }
 
 fn other(error: mcap::McapError) -> io::Error {
@@ -88,18 +92,19 @@ fn other(error: mcap::McapError) -> io::Error {
 }
 
 impl McapWriter {
-    /// Makes the file, with its channels and what the recording is of.
+    /// Begins the file, with its channels and what the recording is of.
     ///
     /// # Errors
     /// If the file can't be written.
-    pub fn create(path: &Path, about: About) -> io::Result<Self> {
+    pub(crate) fn create(file: Stream, about: About) -> io::Result<Self> {
         let options = WriteOptions::new()
             .compression(Some(mcap::Compression::Lz4))
             .chunk_size(Some(CHUNK_BYTES))
             .disable_seeking(true)
             .library(concat!("loopbound ", env!("CARGO_PKG_VERSION")));
         let views = Views::new(&about);
-        let mut writer = options.create(NoSeek::new(File::create(path)?)).map_err(other)?;
+        let file = Shared::new(file);
+        let mut writer = options.create(NoSeek::new(file.clone())).map_err(other)?;
         let metadata = [
             ("version", env!("CARGO_PKG_VERSION").to_owned()),
             ("build", format!("{:016x}", build_id())),
@@ -108,6 +113,7 @@ impl McapWriter {
             ("group", about.group),
             ("links", about.links.to_string()),
             ("scenario", about.scenario),
+            ("run_id", about.run_id),
         ];
         let metadata = metadata.into_iter().map(|(key, value)| (key.to_owned(), value)).collect();
         writer.write_metadata(&Metadata { name: ABOUT.to_owned(), metadata }).map_err(other)?;
@@ -115,21 +121,25 @@ impl McapWriter {
         for (number, channel) in numbers.iter_mut().zip(Channel::ALL) {
             *number = add_channel(&mut writer, channel).map_err(other)?;
         }
-        Ok(Self { writer, numbers, views, sequence: 0, last_plant_ns: 0 })
+        file.with(Stream::push)?;
+        Ok(Self { writer, file, numbers, views, sequence: 0, last_plant_ns: 0, unsaved: 0 })
     }
 
     /// Writes a tick: its record byte by byte, its figures, and now and then the scene.
     ///
     /// # Errors
     /// If the file can't be written.
-    pub fn tick(&mut self, record: &TickRecord, row: &Row) -> io::Result<()> {
+    pub(crate) fn tick(&mut self, record: &TickRecord, row: &Row) -> io::Result<()> {
         let plant_ns = record.start_plant_ns;
         self.last_plant_ns = plant_ns;
         self.views.heed_clock(record);
         let time_ns = self.views.wall_ns(plant_ns);
-        self.put(Channel::Records, time_ns, content_of(record))?;
+        let saved = self.put(Channel::Records, time_ns, content_of(record));
+        self.unsaved += 1;
+        saved?;
         let header = self.header(Channel::Ticks, time_ns);
         self.writer.write_to_known_channel(&header, self.views.figures(record, row)).map_err(other)?;
+        self.save()?;
         match self.views.scene(record, row) {
             Some(scene) => self.put(Channel::Scene, time_ns, scene.as_bytes()),
             None => Ok(()),
@@ -140,7 +150,7 @@ impl McapWriter {
     ///
     /// # Errors
     /// If the file can't be written.
-    pub fn announce(&mut self, announce: &Announce) -> io::Result<()> {
+    pub(crate) fn announce(&mut self, announce: &Announce) -> io::Result<()> {
         self.put(Channel::Announces, self.views.wall_ns(self.last_plant_ns), content_of(announce))
     }
 
@@ -148,7 +158,7 @@ impl McapWriter {
     ///
     /// # Errors
     /// If the file can't be written.
-    pub fn event(&mut self, event: &Event) -> io::Result<()> {
+    pub(crate) fn event(&mut self, event: &Event) -> io::Result<()> {
         let line = self.views.log_line(event);
         self.put(Channel::Events, self.views.wall_ns(event.plant_ns), line.as_bytes())
     }
@@ -157,13 +167,31 @@ impl McapWriter {
     ///
     /// # Errors
     /// If the file can't be written.
-    pub fn finish(mut self) -> io::Result<()> {
-        self.writer.finish().map(drop).map_err(other)
+    pub(crate) fn finish(mut self) -> io::Result<Stamp> {
+        self.writer.finish().map(drop).map_err(other)?;
+        self.file.with(Stream::push)?;
+        Ok(self.file.with(|file| file.stamp()))
+    }
+
+    /// Ticks that are in no chunk of the file yet: what is lost if it can't be written any more.
+    pub(crate) fn unsaved(&self) -> u64 {
+        self.unsaved
     }
 
     fn put(&mut self, channel: Channel, time_ns: u64, data: &[u8]) -> io::Result<()> {
         let header = self.header(channel, time_ns);
-        self.writer.write_to_known_channel(&header, data).map_err(other)
+        self.writer.write_to_known_channel(&header, data).map_err(other)?;
+        self.save()
+    }
+
+    /// A chunk was closed if bytes have come out of the container's writer: they go to the disk at once.
+    fn save(&mut self) -> io::Result<()> {
+        let before = self.file.with(|file| file.written());
+        self.file.with(Stream::push)?;
+        if self.file.with(|file| file.written()) > before {
+            self.unsaved = 0;
+        }
+        Ok(())
     }
 
     fn header(&mut self, channel: Channel, time_ns: u64) -> MessageHeader {
@@ -174,7 +202,7 @@ impl McapWriter {
     }
 }
 
-fn add_channel(writer: &mut Writer<NoSeek<File>>, channel: Channel) -> Result<u16, mcap::McapError> {
+fn add_channel(writer: &mut Writer<NoSeek<Shared>>, channel: Channel) -> Result<u16, mcap::McapError> {
     let schema = channel.schema();
     let schema = writer.add_schema(&schema.name, schema.encoding, &schema.data)?;
     writer.add_channel(schema, channel.topic(), channel.encoding(), &BTreeMap::new())

@@ -19,6 +19,7 @@ pub fn render(summary: &Summary, width: usize, colour: bool) -> String {
     bound(&mut screen, summary);
     swaps(&mut screen, summary);
     privileges(&mut screen, summary);
+    recording(&mut screen, summary);
     screen.text
 }
 
@@ -321,11 +322,17 @@ fn privileges(screen: &mut Screen, summary: &Summary) {
             screen.entry("", &format!("no {}: {}; {}", missing.step, missing.cost, missing.remedy));
         }
     }
-    if summary.dropped != crate::summary::Dropped::default() {
-        let dropped = &summary.dropped;
-        let text = format!("{} rows, {} events, {} intervals", dropped.samples, dropped.events, dropped.intervals);
-        screen.entry("not recorded", &text);
+}
+
+/// The files of the run, where they are not whole.
+fn recording(screen: &mut Screen, summary: &Summary) {
+    let error = summary.recording.as_ref().and_then(|recording| recording.error.as_deref());
+    let dropped = &summary.dropped;
+    if error.is_none() && *dropped == crate::summary::Dropped::default() {
+        return;
     }
+    let why = error.map_or_else(String::new, |error| format!("{error}; "));
+    screen.entry("recording", &format!("INCOMPLETE: {why}{dropped}"));
 }
 
 fn of(summary: &Summary, hop: Hop) -> Option<&Quantiles> {

@@ -4,6 +4,7 @@
 //! files of the run alone, so that a page can be written again at any time.
 
 mod decimate;
+mod rebuilt;
 
 use std::fs;
 use std::io::{self, BufRead as _, BufReader};
@@ -41,18 +42,33 @@ pub struct Run {
     series: Decimated,
     /// Whether the recording was cut off, or why there is none.
     pub recording: String,
+    /// Why the recording is not whole: one line each.
+    pub incomplete: Vec<String>,
     /// For each hop: the value (µs) at each 1/(1 − percentile).
     pub percentiles: Vec<(&'static str, Vec<[f64; 2]>)>,
 }
 
-/// Reads what a page needs from the folder of a run.
+/// Reads what a page needs from the folder of a run. `incomplete`: why it is not whole, if it is not; then figures that
+/// its run did not write are computed from what there is of the recording.
 ///
 /// # Errors
-/// If there is no `summary.json`, or a file can't be read.
-pub fn read_run(folder: &Path) -> io::Result<Run> {
+/// If there is no `summary.json` where there should be one, or a file can't be read.
+pub fn read_run(folder: &Path, incomplete: &[String]) -> io::Result<Run> {
     let named = |name: &str, e: io::Error| io::Error::new(e.kind(), format!("{}: {e}", folder.join(name).display()));
-    let text = fs::read(folder.join("summary.json")).map_err(|e| named("summary.json", e))?;
-    let summary: Value = serde_json::from_slice(&text).map_err(|e| named("summary.json", e.into()))?;
+    let (mut summary, rebuilt): (Value, _) = match fs::read(folder.join("summary.json")) {
+        Ok(text) => (serde_json::from_slice(&text).map_err(|e| named("summary.json", e.into()))?, None),
+        Err(error) if error.kind() == io::ErrorKind::NotFound && !incomplete.is_empty() => {
+            rebuilt::figures(folder).map_or((json!({}), None), |(summary, hops)| (json!(summary), Some(hops)))
+        }
+        Err(error) => return Err(named("summary.json", error)),
+    };
+    if !incomplete.is_empty() {
+        // A loop that ran away outweighs a recording of it that is not whole.
+        if summary["verdict"]["status"] != Headline::Diverged.word() {
+            summary["verdict"]["status"] = json!(Headline::Incomplete.word());
+        }
+        summary["verdict"]["reasons"] = json!(incomplete);
+    }
     let links = summary["links"].as_u64().and_then(|n| usize::try_from(n).ok()).unwrap_or(0).min(7);
     let (events, events_left_out) = read_events(&folder.join("events.jsonl"))?;
     let mut series = Decimated::new(4 * links + 5);
@@ -61,7 +77,11 @@ pub fn read_run(folder: &Path) -> io::Result<Run> {
         Ok(true) => "cut off".to_owned(),
         Err(error) => error.to_string(),
     };
-    let percentiles = Hop::ALL.map(|hop| (hop.name(), read_percentiles(&folder.join("latency"), hop)));
+    let percentiles = Hop::ALL.map(|hop| {
+        let file = || fs::read_to_string(folder.join(format!("latency/{}.hgrm", hop.name()))).unwrap_or_default();
+        let text = rebuilt.as_ref().map_or_else(file, |hops| crate::files::percentiles(hops.of(hop).histogram()));
+        (hop.name(), percentile_steps(&text))
+    });
     let name = folder.canonicalize().ok().and_then(|path| Some(path.file_name()?.to_string_lossy().into_owned()));
     Ok(Run {
         name: name.unwrap_or_else(|| folder.display().to_string()),
@@ -71,6 +91,7 @@ pub fn read_run(folder: &Path) -> io::Result<Run> {
         events_left_out,
         series,
         recording,
+        incomplete: incomplete.to_vec(),
         percentiles: percentiles.into(),
     })
 }
@@ -132,8 +153,7 @@ fn push(series: &mut Decimated, links: usize, record: &TickRecord, figures: &Fig
 }
 
 /// The steps of a percentile file, but for the last, whose 1/(1 − p) is infinite.
-fn read_percentiles(folder: &Path, hop: Hop) -> Vec<[f64; 2]> {
-    let text = fs::read_to_string(folder.join(format!("{}.hgrm", hop.name()))).unwrap_or_default();
+fn percentile_steps(text: &str) -> Vec<[f64; 2]> {
     let step = |line: &str| {
         let cells: Vec<f64> = line.split_whitespace().map_while(|cell| cell.parse().ok()).collect();
         (cells.len() == 4).then(|| [cells[3], cells[0]])
@@ -171,6 +191,7 @@ mod tests {
             events_left_out: 0,
             series: Decimated::new(5),
             recording: "whole".into(),
+            incomplete: Vec::new(),
             percentiles: Vec::new(),
         }
     }
@@ -189,7 +210,7 @@ mod tests {
 
     #[test]
     fn a_folder_without_a_summary_is_an_error_that_names_it() {
-        let error = read_run(Path::new("/nowhere")).unwrap_err();
+        let error = read_run(Path::new("/nowhere"), &[]).unwrap_err();
         assert!(error.to_string().contains("/nowhere/summary.json"), "{error}");
     }
 }

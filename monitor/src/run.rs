@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::io::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 
 use loopbound_shared::chain::LINKS_MAX;
@@ -21,11 +21,12 @@ use loopbound_shared::realtime::{Privileges, die_with_parent};
 use loopbound_shared::role::{Joined, RoleArgs, RoleError, announce, build_id, join, kill_self};
 use loopbound_shared::sample::{Announce, TickRecord, record_flag};
 use loopbound_shared::say;
-use loopbound_shared::scenario::{self, Mode, Scenario};
+use loopbound_shared::scenario::{self, Mode};
 use loopbound_shared::topics::Topic;
 use loopbound_shared::with_links;
 
-use crate::files::{Recorder, summary_text};
+use crate::files::{LOST_FILE, Place, Recorder, summary_text};
+use crate::folder::{Begin, Claim, FolderError, Kind, self_contained, waypoints_of};
 use crate::judge::Judge;
 use crate::live::{Address, Live, LiveError};
 use crate::members::Members;
@@ -186,6 +187,7 @@ struct Watch<'a, const N: usize> {
     tracker: Tracker<N>,
     members: Members,
     recorder: Option<Recorder>,
+    loss_told: bool,
     live: Option<Live>,
     started_ns: u64,
     interval_from_ns: u64,
@@ -202,15 +204,20 @@ impl<'a, const N: usize> Watch<'a, N> {
         let config = Config::of(scenario);
         let other = |e: &dyn std::fmt::Display| RoleError::Other(e.to_string());
         let judge = Judge::new(scenario).map_err(|e| other(&e))?;
-        // Before any file is opened: a refused address must not cost the files of an earlier run.
-        let live = args.foxglove.as_ref().map(|address| serve(address, args, scenario)).transpose()?;
-        let recorder = match &args.out {
+        let claim = if args.managed { None } else { args.out.as_deref().map(claim).transpose()? };
+        // Before the folder is touched: a refused address must not cost the files of an earlier run.
+        let live = args.foxglove.as_ref().map(|address| serve(address, args, joined)).transpose()?;
+        let place = match claim {
+            Some(claim) => Some(take(claim, joined)?),
+            None => args.out.clone().map(|folder| Place::Launcher(folder, joined.group.run_id())),
+        };
+        let recorder = match place {
             None => None,
-            Some(folder) => {
+            Some(place) => {
                 let lossless = lockstep && args.managed;
                 let trace_s = seconds(scenario.monitor.trace.ns());
-                let recorder = Recorder::start(folder, about(args, scenario)?, lossless, trace_s);
-                Some(recorder.map_err(|e| RoleError::Other(format!("{}: {e}", folder.display())))?)
+                let recorder = Recorder::start(place, about(args, joined)?, lossless, trace_s);
+                Some(recorder.map_err(|e| RoleError::Other(format!("the thread that writes the files: {e}")))?)
             }
         };
         let now_ns = now_ns();
@@ -228,6 +235,7 @@ impl<'a, const N: usize> Watch<'a, N> {
             tracker: Tracker::new(config, Some(judge)),
             members: Members::default(),
             recorder,
+            loss_told: false,
             live,
             started_ns: now_ns,
             interval_from_ns: now_ns,
@@ -341,7 +349,20 @@ impl<'a, const N: usize> Watch<'a, N> {
         if duration_ns >= INTERVAL_NS {
             self.close_interval(now_ns);
         }
+        self.tell_loss();
         self.judge_so_far();
+    }
+
+    /// Once, as soon as it is known: to the supervisor, who says it, or to whoever started this monitor.
+    fn tell_loss(&mut self) {
+        let Some(why) = self.recorder.as_ref().and_then(Recorder::lost).filter(|_| !self.loss_told) else { return };
+        self.loss_told = true;
+        if self.args.managed {
+            // In memory: what is full is the disk of the recording.
+            let _ = self.joined.group.write(LOST_FILE, why.as_bytes());
+        } else {
+            say::err!("loopbound: the recording has ended: {why}; the watching goes on");
+        }
     }
 
     /// After every block, for the supervisor, who prolongs a run while its verdict is open. It reads when it likes, so
@@ -429,8 +450,9 @@ impl<'a, const N: usize> Watch<'a, N> {
         summary.processes = self.members.summaries();
         summary.host = crate::host::describe();
         summary.scenario = serde_json::to_value(scenario).unwrap_or_default();
+        summary.run_id = self.joined.group.run_id().to_string();
         if let Some(recorder) = &mut self.recorder {
-            let lost = recorder.finish().map_err(|e| RoleError::Other(format!("the files of the run: {e}")))?;
+            let lost = recorder.finish();
             summary.dropped.samples += lost.samples;
             summary.dropped.events += lost.events;
             summary.dropped.intervals += lost.intervals;
@@ -438,12 +460,11 @@ impl<'a, const N: usize> Watch<'a, N> {
         self.tracker.close_block();
         let natural = judge_summary(&summary);
         summary.verdict = judge(&scenario.expect, &summary, self.tracker.blocks(), natural);
-        if let Some(recorder) = &self.recorder {
-            let toml = scenario.to_toml()?;
-            recorder
-                .write_end(&summary, self.tracker.hops(), self.tracker.blocks(), &toml)
-                .map_err(|e| RoleError::Other(format!("the files of the run: {e}")))?;
+        if let Some(recorder) = &mut self.recorder {
+            // The launcher adds its part to those of its own monitor.
+            recorder.write_end(&mut summary, self.tracker.hops(), self.tracker.blocks(), !self.args.managed);
         }
+        self.tell_loss();
         Ok(summary)
     }
 }
@@ -458,10 +479,29 @@ fn strangers(block: &ControlBlock, summary: &Summary) -> BTreeMap<String, u64> {
     counts
 }
 
+/// The folder of a monitor that a user has attached. The launcher takes that of its own monitor.
+fn claim(folder: &Path) -> Result<Claim, RoleError> {
+    Claim::prepare(folder, Kind::Run).map_err(|error| RoleError::Usage(format!("--out {error}")))
+}
+
+fn take(claim: Claim, joined: &Joined) -> Result<Place, RoleError> {
+    let refuse = |error: FolderError| RoleError::Usage(format!("--out {error}"));
+    let scenario = self_contained(&joined.scenario).to_toml()?;
+    let waypoints = waypoints_of(&joined.scenario).map_err(refuse)?;
+    let begin = Begin {
+        run_id: joined.group.run_id(),
+        group: joined.group.name(),
+        scenario: Some(&scenario),
+        waypoints: waypoints.as_deref(),
+    };
+    claim.begin(&begin).map(Place::Own).map_err(refuse)
+}
+
 /// Starts to serve, and says where: the port may have been left to the system.
-fn serve(address: &Address, args: &MonitorArgs, scenario: &Scenario) -> Result<Live, RoleError> {
+fn serve(address: &Address, args: &MonitorArgs, joined: &Joined) -> Result<Live, RoleError> {
+    let scenario = &joined.scenario;
     let lockstep = scenario.loop_.mode == Mode::Lockstep;
-    let live = Live::start(address, &about(args, scenario)?, scenario.period_ns(), lockstep).map_err(refused)?;
+    let live = Live::start(address, &about(args, joined)?, scenario.period_ns(), lockstep).map_err(refused)?;
     let whom = if address.is_loopback() { "this machine" } else { "every machine that can reach this one" };
     say::err!("loopbound: group {} is live for Foxglove on {whom} at {}", args.group, live.url());
     Ok(live)
@@ -475,7 +515,8 @@ fn refused(error: LiveError) -> RoleError {
 }
 
 /// What a recording says of its run.
-fn about(args: &MonitorArgs, scenario: &Scenario) -> Result<About, RoleError> {
+fn about(args: &MonitorArgs, joined: &Joined) -> Result<About, RoleError> {
+    let scenario = &joined.scenario;
     let virtual_time = scenario.loop_.mode == Mode::Lockstep;
     let mut length_m = [1.0; LINKS_MAX];
     // A chain that is given by coefficients has no lengths; links of 1 m show its angles.
@@ -487,7 +528,8 @@ fn about(args: &MonitorArgs, scenario: &Scenario) -> Result<About, RoleError> {
         length_m,
         started: Started { wall_ns: wall_time_ns(), monotonic_ns: (!virtual_time).then(now_ns) },
         group: args.group.clone(),
-        scenario: scenario.to_toml()?,
+        scenario: self_contained(scenario).to_toml()?,
+        run_id: joined.group.run_id().to_string(),
     })
 }
 
@@ -495,7 +537,7 @@ fn about(args: &MonitorArgs, scenario: &Scenario) -> Result<About, RoleError> {
 fn report(args: &MonitorArgs, joined: &Joined, outcome: &Outcome) -> Result<(), RoleError> {
     if args.managed {
         let text = summary_text(&outcome.summary).map_err(|e| RoleError::Other(format!("summary.json: {e}")))?;
-        return Ok(joined.group.write("summary.json", text.as_bytes())?);
+        return Ok(joined.group.write("summary.json", &text)?);
     }
     if args.json {
         let text = serde_json::to_string_pretty(&outcome.summary);

@@ -31,6 +31,8 @@ pub struct Summary {
     pub build: String,
     /// Name of the group.
     pub group: String,
+    /// The run's id, 16 hexadecimal digits; empty in files of versions that had none.
+    pub run_id: String,
     /// When it was written, UTC.
     pub written: String,
     /// How the watching ended.
@@ -102,6 +104,8 @@ pub struct Summary {
     pub processes: Vec<ProcessSummary>,
     /// What the disc could not take in time.
     pub dropped: Dropped,
+    /// Whether the files of the run are whole; `null` where none were asked for.
+    pub recording: Option<RecordingSummary>,
     /// The machine.
     pub host: BTreeMap<String, serde_json::Value>,
     /// The scenario with all defaults filled in.
@@ -393,6 +397,23 @@ pub struct Dropped {
     pub events: u64,
     /// Intervals of `latency.hlog`.
     pub intervals: u64,
+}
+
+impl std::fmt::Display for Dropped {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { samples, events, intervals } = self;
+        write!(f, "{samples} rows, {events} events, {intervals} intervals were not recorded")
+    }
+}
+
+/// What became of the recording.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct RecordingSummary {
+    /// Whether everything that reached the monitor is in the files.
+    pub whole: bool,
+    /// What ended it before the run did: a full disk, say, and in which tick.
+    pub error: Option<String>,
 }
 
 /// What a run is worth.

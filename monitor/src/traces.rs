@@ -4,9 +4,11 @@
 //! Runs on the thread that writes the files. A swap, a failover and a rollback are all the same here.
 
 use std::collections::VecDeque;
-use std::fs::{self, File};
-use std::io::{self, BufWriter, Write as _};
+use std::fs;
+use std::io::{self, Write as _};
 use std::path::PathBuf;
+
+use crate::folder::{Stamp, Stream};
 
 /// Changes that get a file of their own; the samples have them all.
 const CHANGES_MAX: usize = 1024;
@@ -19,7 +21,8 @@ pub(crate) struct Traces {
     header: String,
     window_s: f64,
     before: VecDeque<(f64, String)>,
-    open: Vec<(f64, BufWriter<File>)>,
+    open: Vec<(f64, String, Stream)>,
+    closed: Vec<(String, Stamp)>,
     active: u32,
     changes: usize,
 }
@@ -27,7 +30,16 @@ pub(crate) struct Traces {
 impl Traces {
     /// Files go into `folder`, made at the first change, with `window_s` on either side.
     pub(crate) fn new(folder: PathBuf, header: String, window_s: f64) -> Self {
-        Self { folder, header, window_s, before: VecDeque::new(), open: Vec::new(), active: 0, changes: 0 }
+        Self {
+            folder,
+            header,
+            window_s,
+            before: VecDeque::new(),
+            open: Vec::new(),
+            closed: Vec::new(),
+            active: 0,
+            changes: 0,
+        }
     }
 
     /// Takes the next line of the samples.
@@ -38,10 +50,14 @@ impl Traces {
             self.changes += 1;
             self.begin(tick, t_s)?;
         }
-        for (_, file) in &mut self.open {
+        for (_, _, file) in &mut self.open {
             file.write_all(line.as_bytes())?;
+            file.checkpoint()?;
         }
-        self.open.retain_mut(|(until_s, _)| t_s < *until_s);
+        while let Some(over) = self.open.iter().position(|(until_s, ..)| t_s >= *until_s) {
+            let (_, name, file) = self.open.remove(over);
+            self.close_one(name, file)?;
+        }
         while self.before.front().is_some_and(|(at_s, _)| *at_s < t_s - self.window_s)
             || self.before.len() >= BEFORE_MAX
         {
@@ -53,13 +69,31 @@ impl Traces {
 
     fn begin(&mut self, tick: u64, t_s: f64) -> io::Result<()> {
         fs::create_dir_all(&self.folder)?;
-        let mut file = BufWriter::new(File::create(self.folder.join(format!("{tick}.csv")))?);
+        let name = format!("{tick}.csv");
+        let path = self.folder.join(&name);
+        // A monitor of the same run that had to be started again may have written it.
+        let _ = fs::remove_file(&path);
+        let mut file = Stream::create(&path)?;
         file.write_all(self.header.as_bytes())?;
         for (_, line) in self.before.iter().filter(|(at_s, _)| *at_s >= t_s - self.window_s) {
             file.write_all(line.as_bytes())?;
         }
-        self.open.push((t_s + self.window_s, file));
+        self.open.push((t_s + self.window_s, name, file));
         Ok(())
+    }
+
+    fn close_one(&mut self, name: String, mut file: Stream) -> io::Result<()> {
+        file.push()?;
+        self.closed.push((name, file.stamp()));
+        Ok(())
+    }
+
+    /// Closes what is still open; the name, size and hash of every file.
+    pub(crate) fn close(mut self) -> io::Result<Vec<(String, Stamp)>> {
+        for (_, name, file) in std::mem::take(&mut self.open) {
+            self.close_one(name, file)?;
+        }
+        Ok(self.closed)
     }
 }
 
@@ -80,9 +114,11 @@ mod tests {
             };
             traces.line(tick, tick as f64 * 1e-3, active, &format!("{tick}\n")).unwrap();
         }
+        let closed = traces.close().unwrap();
         let read = |name: &str| fs::read_to_string(folder.join(name)).unwrap();
         assert_eq!(read("10.csv"), "tick\n7\n8\n9\n10\n11\n12\n13\n14\n");
         assert_eq!(read("12.csv"), "tick\n9\n10\n11\n12\n13\n14\n15\n16\n");
+        assert_eq!(closed[0], ("10.csv".to_owned(), Stamp::of(read("10.csv").as_bytes())));
         assert_eq!(fs::read_dir(&folder).unwrap().count(), 2, "the first one in charge is no change");
         fs::remove_dir_all(folder).unwrap();
     }

@@ -4,7 +4,7 @@
 //! setpoint that its controller used, what was injected. What is computed again: the true and the measured state, every
 //! torque of a built-in law, the blends, the plant's own brake. A torque of a foreign controller is taken as recorded.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 use loopbound_controller::{Builtin, ControllerCore};
 use loopbound_plant::Brake;
@@ -48,6 +48,32 @@ struct Fade {
     ticks: u64,
 }
 
+/// Why a torque is taken as recorded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum AsRecorded {
+    /// A user's controller, or one with other gains than the scenario's.
+    UnknownLaw,
+    /// A cross-fade of a swap that was commanded by hand.
+    Fade,
+    /// A glitch that was injected by hand: how large it was is in no record.
+    Glitch,
+    /// The sample that it answers is not in the recording.
+    NoSample,
+}
+
+impl AsRecorded {
+    /// What a person is told, after the number of torques.
+    #[must_use]
+    pub const fn reason(self) -> &'static str {
+        match self {
+            Self::UnknownLaw => "of controllers whose law or gains are not the scenario's",
+            Self::Fade => "in a cross-fade that was commanded by hand",
+            Self::Glitch => "with a glitch that was injected by hand",
+            Self::NoSample => "for samples that are not in the recording",
+        }
+    }
+}
+
 /// The plant and its controllers, driven by records.
 pub struct Engine<const N: usize> {
     scenario: Scenario,
@@ -60,8 +86,8 @@ pub struct Engine<const N: usize> {
     fade: Option<Fade>,
     /// The controller whose torques have a glitch that was injected by hand, and the ticks in which.
     spoilt: Option<(u32, std::ops::Range<u64>)>,
-    /// Segments whose torque was taken as recorded.
-    pub as_recorded: u64,
+    /// Segments whose torque was taken as recorded, by reason.
+    pub as_recorded: BTreeMap<AsRecorded, u64>,
     /// Segments whose torque was computed again.
     pub recomputed: u64,
 }
@@ -90,7 +116,7 @@ impl<const N: usize> Engine<N> {
             fade: None,
             spoilt: None,
             scenario: scenario.clone(),
-            as_recorded: 0,
+            as_recorded: BTreeMap::new(),
             recomputed: 0,
         })
     }
@@ -180,38 +206,44 @@ impl<const N: usize> Engine<N> {
         if let Some((_, tau)) = self.acting.filter(|(acting, _)| same(acting)) {
             return tau;
         }
-        let found = if *segment == Segment::zeroed() { Some(Vector::zeros()) } else { self.compute(segment) };
-        let tau = found.map_or_else(
-            || {
-                self.as_recorded += 1;
-                to_vector(&segment.tau)
-            },
-            |tau| {
-                self.recomputed += 1;
-                self.truth.saturate(&tau).0
-            },
-        );
+        // Before the first torque nothing acts, and nothing is computed.
+        let nothing = Segment { from_plant_ns: segment.from_plant_ns, ..Segment::zeroed() };
+        let tau = if *segment == nothing {
+            Vector::zeros()
+        } else {
+            match self.compute(segment) {
+                Ok(tau) => {
+                    self.recomputed += 1;
+                    self.truth.saturate(&tau).0
+                }
+                Err(why) => {
+                    *self.as_recorded.entry(why).or_default() += 1;
+                    to_vector(&segment.tau)
+                }
+            }
+        };
         self.acting = Some((*segment, tau));
         tau
     }
 
-    fn compute(&self, segment: &Segment) -> Option<Vector<N>> {
-        let answered = self.answered.iter().rev().find(|answered| answered.tick == segment.answered_tick)?;
+    fn compute(&self, segment: &Segment) -> Result<Vector<N>, AsRecorded> {
+        let answered = self.answered.iter().rev().find(|answered| answered.tick == segment.answered_tick);
+        let answered = answered.ok_or(AsRecorded::NoSample)?;
         if segment.writer == 0 {
-            return Some(self.brake.torque(&answered.input.q, &answered.input.v));
+            return Ok(self.brake.torque(&answered.input.q, &answered.input.v));
         }
         // How large it was is in no record.
         if self.spoilt.as_ref().is_some_and(|(id, ticks)| *id == segment.writer && ticks.contains(&answered.tick)) {
-            return None;
+            return Err(AsRecorded::Glitch);
         }
-        let new = self.law_torque(segment.writer, answered)?;
+        let new = self.law_torque(segment.writer, answered).ok_or(AsRecorded::UnknownLaw)?;
         if !answered.blends || answered.active != segment.writer {
-            return Some(new);
+            return Ok(new);
         }
-        let fade = self.fade?;
-        let old = self.law_torque(fade.from, answered)?;
-        let weight = fade_weight(answered.tick.checked_sub(fade.tick)?, fade.ticks);
-        Some(Vector::from_fn(|i, _| faded(weight, new[i], old[i])))
+        let fade = self.fade.ok_or(AsRecorded::Fade)?;
+        let old = self.law_torque(fade.from, answered).ok_or(AsRecorded::UnknownLaw)?;
+        let weight = fade_weight(answered.tick.checked_sub(fade.tick).ok_or(AsRecorded::Fade)?, fade.ticks);
+        Ok(Vector::from_fn(|i, _| faded(weight, new[i], old[i])))
     }
 
     fn law_torque(&self, id: u32, answered: &Answered<N>) -> Option<Vector<N>> {

@@ -214,7 +214,7 @@ impl Study<'_> {
     fn ratio(&self, a: usize, b: usize) -> Option<Ratio> {
         let ratios = compare_hop(Hop::DeadlineToTorque, self.all[a].blocks()?, self.all[b].blocks()?);
         let found = ratios.into_iter().find(|ratio| ratio.quantile == self.plan.quantile.key())?;
-        Some(Ratio { ratio: found.ratio, lower: found.lower, upper: found.upper })
+        Some(Ratio { ratio: found.ratio?, lower: found.lower, upper: found.upper })
     }
 }
 

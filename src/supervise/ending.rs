@@ -45,6 +45,7 @@ impl Supervisor<'_> {
         Ok(Outcome {
             record: self.record(&end),
             summary: summary.and_then(|bytes| serde_json::from_slice(&bytes).ok()),
+            results: None,
             stopped,
         })
     }

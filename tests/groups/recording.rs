@@ -92,7 +92,7 @@ fn a_changed_recording_is_found_a_cut_one_is_followed_to_its_end_and_a_foreign_o
     let bytes = std::fs::read(&path).unwrap();
     std::fs::write(&path, &bytes[..bytes.len() * 3 / 4]).unwrap();
     let (code, report) = replay(&case, &out, &[]);
-    assert_eq!((code, report["cut_off"].as_bool()), (Some(3), Some(true)));
+    assert_eq!((code, report["cut_off"].as_bool()), (Some(5), Some(true)));
     let ticks = report["ticks"].as_u64().unwrap();
     assert!((100..1500).contains(&ticks) && report["differences"] == 0, "{report}");
     let place = bytes.windows(13).position(|window| window == b"record_layout").unwrap() + 17;

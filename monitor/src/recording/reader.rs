@@ -3,6 +3,7 @@
 //! Nothing of the file is trusted: lengths are checked by the container's reader and a chunk by its checksum before
 //! anything of it is handed out.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
@@ -60,6 +61,8 @@ pub struct Header {
     pub group: String,
     /// The scenario, as TOML.
     pub scenario: String,
+    /// The run's id; empty in recordings of versions that had none.
+    pub run_id: String,
 }
 
 /// One thing that was recorded, in the order of the recording.
@@ -95,6 +98,18 @@ impl Recording {
     /// # Errors
     /// If the file can't be read, is no recording, or is of another build or layout.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
+        let (mut recording, about) = Self::begin(path)?;
+        recording.header = header_of(&about)?;
+        Ok(recording)
+    }
+
+    /// The scenario of a recording of any build; none of what is no recording.
+    #[must_use]
+    pub fn scenario_of(path: &Path) -> Option<String> {
+        Self::begin(path).ok()?.1.remove("scenario")
+    }
+
+    fn begin(path: &Path) -> Result<(Self, BTreeMap<String, String>), ReadError> {
         let options =
             LinearReaderOptions::default().with_prevalidate_chunk_crcs(true).with_record_length_limit(LENGTH_MAX);
         let reader = LinearReader::new_with_options(options);
@@ -104,8 +119,7 @@ impl Recording {
         // The metadata come before the first chunk.
         while let Some(found) = recording.next_record()? {
             if let Found::About(about) = found {
-                recording.header = header_of(&about)?;
-                return Ok(recording);
+                return Ok((recording, about));
             }
         }
         Err(ReadError::Malformed("it does not say what it is of".to_owned()))
@@ -162,7 +176,7 @@ impl Recording {
 }
 
 enum Found {
-    About(std::collections::BTreeMap<String, String>),
+    About(BTreeMap<String, String>),
     Item(Item),
 }
 
@@ -199,7 +213,7 @@ fn look_at(channels: &mut Channels, record: Record<'_>) -> Result<Option<Found>,
     })
 }
 
-fn header_of(about: &std::collections::BTreeMap<String, String>) -> Result<Header, ReadError> {
+fn header_of(about: &BTreeMap<String, String>) -> Result<Header, ReadError> {
     // The build that is recorded tells who wrote it. What is kept of it is these two layouts, and the version computes alike.
     let get = |key: &str| about.get(key).cloned().unwrap_or_default();
     for (what, key, own) in [
@@ -212,5 +226,5 @@ fn header_of(about: &std::collections::BTreeMap<String, String>) -> Result<Heade
             return Err(ReadError::Other { what, recorded, own });
         }
     }
-    Ok(Header { version: get("version"), group: get("group"), scenario: get("scenario") })
+    Ok(Header { version: get("version"), group: get("group"), scenario: get("scenario"), run_id: get("run_id") })
 }

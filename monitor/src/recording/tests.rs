@@ -1,4 +1,6 @@
 use super::reader::{Item, ReadError, Recording};
+use std::path::Path;
+
 use super::*;
 use crate::testing::good;
 use crate::tracker::Tracker;
@@ -9,13 +11,21 @@ const TICKS_RECORDED: u64 = 2500;
 
 fn about() -> About {
     let started = Started { wall_ns: 1_700_000_000_000_000_000, monotonic_ns: None };
-    About { links: 3, length_m: [1.0; LINKS_MAX], started, group: "g".into(), scenario: "[loop]\n".into() }
+    About {
+        links: 3,
+        length_m: [1.0; LINKS_MAX],
+        started,
+        group: "g".into(),
+        scenario: "[loop]\n".into(),
+        run_id: "00000000000000ab".into(),
+    }
 }
 
 /// 2500 ticks, each with its own q.
 fn write(path: &Path) {
     let mut tracker: Tracker<3> = crate::testing::tracker();
-    let mut writer = McapWriter::create(path, about()).unwrap();
+    let _ = std::fs::remove_file(path);
+    let mut writer = McapWriter::create(Stream::create(path).unwrap(), about()).unwrap();
     writer.announce(&Announce { id: 9, ..Announce::zeroed() }).unwrap();
     for tick in 0..TICKS_RECORDED {
         let mut record = good(tick);
@@ -24,7 +34,8 @@ fn write(path: &Path) {
         writer.tick(&record, &row).unwrap();
         tracker.drain_events().for_each(|event| writer.event(&event).unwrap());
     }
-    writer.finish().unwrap();
+    let stamp = writer.finish().unwrap();
+    assert_eq!(stamp, Stamp::of(&std::fs::read(path).unwrap()));
 }
 
 fn read(path: &Path) -> (Vec<TickRecord>, usize, bool) {

@@ -6,7 +6,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::blocks::{Blocks, Counts, LAST_BUCKET, most_of};
+use super::blocks::{Blocks, Counts, LAST_BUCKET, least_of, most_of};
 use crate::hops::Hop;
 
 /// Draws.
@@ -24,16 +24,37 @@ pub struct Ratio {
     pub hop: String,
     /// The quantile's key.
     pub quantile: String,
-    /// In the first run, ns.
-    pub a_ns: f64,
+    /// In the first run, ns; none where the torque never came.
+    pub a_ns: Option<f64>,
     /// In the second, ns.
-    pub b_ns: f64,
-    /// b / a.
-    pub ratio: f64,
-    /// Its lower limit at 95 %; none with too few blocks.
+    pub b_ns: Option<f64>,
+    /// b / a; none where one of them is zero or never.
+    pub ratio: Option<f64>,
+    /// Its lower limit at 95 %; none with too few blocks, or where some of the draws have no ratio there.
     pub lower: Option<f64>,
     /// Its upper limit.
     pub upper: Option<f64>,
+    /// Why there is no ratio: `zero` or `never`.
+    pub why_no_ratio: Option<String>,
+    /// Whether there are too few blocks for an interval.
+    pub few_blocks: bool,
+}
+
+/// Below this a latency is none: the first bucket, whose middle would make a ratio of nothing.
+const ZERO_NS: f64 = 1.0;
+
+/// A quantile, unless it lies among the torques that never came.
+fn came(value_ns: f64) -> Option<f64> {
+    (value_ns < least_of(LAST_BUCKET) as f64).then_some(value_ns)
+}
+
+/// b / a, or why there is none.
+fn ratio_of(a_ns: f64, b_ns: f64) -> Result<f64, &'static str> {
+    match (came(a_ns), came(b_ns)) {
+        (Some(a_ns), Some(b_ns)) if a_ns >= ZERO_NS && b_ns >= ZERO_NS => Ok(b_ns / a_ns),
+        (Some(_), Some(_)) => Err("zero"),
+        _ => Err("never"),
+    }
 }
 
 /// SplitMix64 (Steele, Lea, Flood 2014).
@@ -64,7 +85,7 @@ fn quantiles_of(blocks: &[&Counts], totals: &mut [u64]) -> [f64; QUANTILES.len()
             let count = *count as f64;
             if before + count >= rank {
                 let bucket = u16::try_from(bucket).unwrap_or(LAST_BUCKET);
-                let (least, most) = (super::blocks::least_of(bucket) as f64, most_of(bucket) as f64 + 1.0);
+                let (least, most) = (least_of(bucket) as f64, most_of(bucket) as f64 + 1.0);
                 return least + (most - least) * ((rank - before) / count).clamp(0.0, 1.0);
             }
             before += count;
@@ -98,22 +119,28 @@ pub fn compare_hop(hop: Hop, a: &Blocks, b: &Blocks) -> Vec<Ratio> {
             };
             let (of_a, of_b) = (draw(&a), draw(&b));
             for (index, ratios) in drawn.iter_mut().enumerate() {
-                ratios.push(of_b[index] / of_a[index]);
+                // One without a ratio lies at the end that it belongs to.
+                let end = if came(of_a[index]).is_none() || of_b[index] < ZERO_NS { 0.0 } else { f64::INFINITY };
+                ratios.push(ratio_of(of_a[index], of_b[index]).unwrap_or(end));
             }
         }
     }
     let one = |(index, (name, _)): (usize, &(&str, f64))| {
         let ratios = &mut drawn[index];
         ratios.sort_by(f64::total_cmp);
-        let at = |share: usize| ratios.get(ratios.len() * share / 1000).copied();
+        let found = ratio_of(of_a[index], of_b[index]);
+        let is_ratio = |limit: &f64| found.is_ok() && limit.is_finite() && *limit > 0.0;
+        let at = |share: usize| ratios.get(ratios.len() * share / 1000).copied().filter(is_ratio);
         Ratio {
             hop: hop.name().to_owned(),
             quantile: (*name).to_owned(),
-            a_ns: of_a[index],
-            b_ns: of_b[index],
-            ratio: of_b[index] / of_a[index],
+            a_ns: came(of_a[index]),
+            b_ns: came(of_b[index]),
+            ratio: found.ok(),
             lower: at(25),
             upper: at(975),
+            why_no_ratio: found.err().map(str::to_owned),
+            few_blocks: ratios.is_empty(),
         }
     };
     QUANTILES.iter().enumerate().map(one).collect()
@@ -157,13 +184,22 @@ pub fn table(ratios: &[Ratio]) -> String {
     use super::expectations::time;
     use std::fmt::Write as _;
     let mut text = format!("{:<22}{:<7}{:>12}{:>12}{:>9}  95 % of the ratio\n", "hop", "", "A", "B", "B / A");
-    for Ratio { hop, quantile, a_ns, b_ns, ratio, lower, upper } in ratios {
-        let interval = match (lower, upper) {
-            (Some(lower), Some(upper)) => format!("{lower:.3} to {upper:.3}"),
-            _ => format!("needs {BLOCKS_MIN} blocks of 250 ms in each"),
+    for one in ratios {
+        let limit = |limit: Option<f64>| limit.map_or_else(|| "unknown".to_owned(), |limit| format!("{limit:.3}"));
+        let interval = match one.ratio {
+            None => String::new(),
+            Some(_) if one.few_blocks => format!("needs {BLOCKS_MIN} blocks of 250 ms in each"),
+            Some(_) => format!("{} to {}", limit(one.lower), limit(one.upper)),
         };
-        let (a, b) = (time(Some(*a_ns)), time(Some(*b_ns)));
-        let _ = writeln!(text, "{hop:<22}{quantile:<7}{a:>12}{b:>12}{ratio:>9.3}  {interval}");
+        let ns = |value_ns: Option<f64>| match value_ns {
+            None => "never".to_owned(),
+            Some(value_ns) if value_ns < ZERO_NS => "zero".to_owned(),
+            value_ns => time(value_ns),
+        };
+        let ratio = one.ratio.map_or_else(|| "none".to_owned(), |ratio| format!("{ratio:.3}"));
+        let Ratio { hop, quantile, a_ns, b_ns, .. } = one;
+        let line = format!("{hop:<22}{quantile:<7}{:>12}{:>12}{ratio:>9}  {interval}", ns(*a_ns), ns(*b_ns));
+        let _ = writeln!(text, "{}", line.trim_end());
     }
     text
 }
@@ -208,10 +244,42 @@ mod tests {
         assert_eq!(estimates(Hop::Compute, &run(1, 3, 10_000)), None);
     }
 
+    /// Blocks in which every round trip lies in one bucket.
+    fn alike(bucket: u16) -> Blocks {
+        let mut run = Blocks::new(1_000_000);
+        for index in 0..20 {
+            let mut hops = vec![Vec::new(); Hop::ALL.len()];
+            hops[Hop::RoundTrip as usize] = vec![(bucket, 250)];
+            run.push(Block { index, hops });
+        }
+        run
+    }
+
+    #[test]
+    fn zero_and_never_are_words_and_have_no_ratio() {
+        let (zero, never, some) = (alike(0), alike(LAST_BUCKET), run(1, 20, 10_000));
+        for (a, b, words) in [
+            (&zero, &zero, "zero        zero     none"),
+            (&zero, &some, "none"),
+            (&never, &never, "never       never     none"),
+            (&some, &never, "never     none"),
+            (&never, &some, "none"),
+        ] {
+            let ratios = compare(a, b);
+            assert!(ratios.iter().all(|one| one.ratio.is_none() && one.lower.is_none() && one.why_no_ratio.is_some()));
+            let text = table(&ratios);
+            assert!(text.lines().skip(1).all(|line| line.contains(words) && line.ends_with("none")), "{text}");
+        }
+    }
+
     #[test]
     fn the_same_files_give_the_same_numbers_and_few_blocks_give_no_interval() {
         let (a, b) = (run(1, 12, 10_000), run(2, 12, 10_000));
         assert_eq!(compare(&a, &b), compare(&a, &b));
-        assert!(compare(&a, &run(2, 3, 10_000)).iter().all(|ratio| ratio.lower.is_none() && ratio.ratio > 0.9));
+        assert!(
+            compare(&a, &run(2, 3, 10_000))
+                .iter()
+                .all(|ratio| ratio.lower.is_none() && ratio.few_blocks && ratio.ratio > Some(0.9))
+        );
     }
 }

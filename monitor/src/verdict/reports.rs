@@ -7,6 +7,9 @@ use loopbound_shared::headline::Headline;
 use super::expectations::time;
 use crate::summary::{Finding, Summary, Verdict};
 
+/// Name of the verdict's file for build servers in the folder of a run.
+pub const FILE: &str = "junit.xml";
+
 /// A readable table, one line an expectation; empty without any.
 #[must_use]
 pub fn table(verdict: &Verdict) -> String {
@@ -40,6 +43,10 @@ pub fn junit(summary: &Summary) -> String {
         cases.len(),
         summary.duration_s,
     );
+    if !summary.run_id.is_empty() {
+        let run_id = escape(&summary.run_id);
+        let _ = writeln!(text, "  <properties><property name=\"run_id\" value=\"{run_id}\"/></properties>");
+    }
     for (name, outcome, reason) in cases {
         let (name, reason) = (escape(name), escape(reason));
         let inner = match outcome {
@@ -131,6 +138,16 @@ mod tests {
         assert!(text.contains("tests=\"3\" failures=\"1\" skipped=\"1\""), "{text}");
         assert!(text.contains("name=\"round_trip.p99 &lt;= 50us\"><failure message="), "{text}");
         assert!(text.contains("&quot;measured&quot;") && !text.contains("<= "), "{text}");
+    }
+
+    #[test]
+    fn the_build_file_names_its_run_before_its_cases() {
+        assert!(!junit(&summary()).contains("<properties>"), "a version that had no ids wrote none");
+        let mut summary = summary();
+        summary.run_id = "00000000000000ab".to_owned();
+        let text = junit(&summary);
+        let at = text.find("<property name=\"run_id\" value=\"00000000000000ab\"/>").unwrap();
+        assert!(at < text.find("<testcase").unwrap());
     }
 
     #[test]
