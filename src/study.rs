@@ -20,6 +20,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use anyhow::Context as _;
 use clap::{Args, Subcommand};
 use loopbound_monitor::chart::{Figure, Theme, to_png, to_svg};
+use loopbound_monitor::folder::Manifest;
 use loopbound_shared::chain::LINKS_MAX;
 use loopbound_shared::law::LawKind;
 
@@ -124,9 +125,13 @@ impl Folder {
     /// The folder, made if need be.
     ///
     /// # Errors
-    /// If it can't be made.
+    /// If it can't be made, or is that of a run.
     pub fn open(path: &Path) -> anyhow::Result<Self> {
-        std::fs::create_dir_all(path).with_context(|| path.display().to_string())?;
+        let refuse = |why: &dyn std::fmt::Display| Failure::usage(format!("--out {}: {why}", path.display()));
+        if let Some(manifest) = Manifest::read(path).map_err(|error| Failure::usage(format!("--out {error}")))? {
+            return Err(refuse(&format!("it holds {}; choose another folder", manifest.whose())).into());
+        }
+        std::fs::create_dir_all(path).map_err(|error| refuse(&error))?;
         Ok(Self(path.to_owned()))
     }
 
