@@ -48,6 +48,7 @@ pub fn run(args: &FaultArgs) -> anyhow::Result<Exit> {
         delay_ns: args.delay,
         for_ns: args.length,
         value_nm: args.value,
+        run: None,
     };
     let report = match connect(&args.group, &Request::Fault(request))? {
         Some(Answer::Fault(report)) => *report,

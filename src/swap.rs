@@ -60,6 +60,7 @@ pub fn run(args: &SwapArgs) -> anyhow::Result<Exit> {
         at_tick: args.at_tick,
         blend_ns: args.blend,
         force: args.force,
+        run: None,
     };
     let report = match connect(&args.group, &Request::Swap(request))? {
         Some(Answer::Report(report)) => *report,

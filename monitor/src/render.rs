@@ -428,6 +428,17 @@ mod tests {
     }
 
     #[test]
+    fn strangers_have_a_line_where_there_were_any() {
+        let mut summary = full();
+        summary.strangers = MessageKind::ALL.iter().map(|kind| (kind.name().to_owned(), 0)).collect();
+        assert!(!render(&summary, 100, false).contains("strangers"));
+        summary.strangers.insert("setpoint".to_owned(), 12);
+        summary.strangers.insert("tick_record".to_owned(), 1);
+        let text = render(&summary, 100, false);
+        assert!(text.contains("strangers         12 setpoints, 1 tick record: refused"), "{text}");
+    }
+
+    #[test]
     fn a_run_under_two_laws_shows_the_figures_of_each_with_its_ticks() {
         let mut summary = full();
         let of = |law: &str, controller: u32, c1: f64| LawSummary {

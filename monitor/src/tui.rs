@@ -15,7 +15,7 @@ use std::time::Duration;
 
 use loopbound_shared::clock::now_ns;
 use loopbound_shared::event::LiveFault;
-use loopbound_shared::group::file_of;
+use loopbound_shared::group::Group;
 use loopbound_shared::law::LawKind;
 use loopbound_shared::role::{Joined, RoleError};
 use loopbound_shared::sample::{TickRecord, record_flag};
@@ -100,8 +100,8 @@ fn watch<const N: usize>(args: &MonitorArgs, joined: &Joined, stop: &AtomicBool)
         }
         match keys(&mut terminal, &mut model) {
             Ok(Key::Wish(Wish::Nothing)) => {}
-            Ok(Key::Wish(Wish::Swap)) => answers = Some(swap(&args.group, &mut model)),
-            Ok(Key::Wish(Wish::Fault(fault))) => answers = Some(strike(&args.group, &mut model, fault)),
+            Ok(Key::Wish(Wish::Swap)) => answers = Some(swap(&joined.group, &mut model)),
+            Ok(Key::Wish(Wish::Fault(fault))) => answers = Some(strike(&joined.group, &mut model, fault)),
             Ok(Key::Wish(Wish::Quit)) => break Ok(Left::Quit),
             Ok(Key::Interrupt) => break Ok(Left::Interrupted),
             Err(error) => break Err(error),
@@ -135,27 +135,28 @@ fn keys<const N: usize>(terminal: &mut DefaultTerminal, model: &mut Model<N>) ->
 
 /// Asks the supervisor for another controller: a standby if there is one, else a new one with the next law. The answer
 /// comes when the swap is over, and the view goes on meanwhile.
-fn swap<const N: usize>(group: &str, model: &mut Model<N>) -> Receiver<String> {
+fn swap<const N: usize>(group: &Group, model: &mut Model<N>) -> Receiver<String> {
     let (active, _) = model.in_charge();
     let at = LawKind::ALL.iter().position(|law| law.name() == model.name(active)).unwrap_or(0);
     let next = LawKind::ALL[(at + 1) % LawKind::ALL.len()].name();
+    let run = group.run_id().to_string();
     let (wanted, request) = match model.standbys().first() {
-        Some(id) => (format!("controller {id}"), json!({"to": id, "force": false})),
-        None => (next.to_owned(), json!({"law": next, "force": false})),
+        Some(id) => (format!("controller {id}"), json!({"to": id, "force": false, "run": run})),
+        None => (next.to_owned(), json!({"law": next, "force": false, "run": run})),
     };
     command(group, model, "swap", &format!("swap to {wanted}"), request)
 }
 
 /// Asks the supervisor for a fault of the controller in charge.
-fn strike<const N: usize>(group: &str, model: &mut Model<N>, fault: LiveFault) -> Receiver<String> {
+fn strike<const N: usize>(group: &Group, model: &mut Model<N>, fault: LiveFault) -> Receiver<String> {
     let (active, _) = model.in_charge();
-    let request = json!({"fault": {"kind": fault.name(), "controller": active}});
+    let request = json!({"fault": {"kind": fault.name(), "controller": active, "run": group.run_id().to_string()}});
     command(group, model, "fault", &format!("fault {fault} of controller {active}"), request)
 }
 
 /// Sends a request on a thread of its own.
 fn command<const N: usize>(
-    group: &str,
+    group: &Group,
     model: &mut Model<N>,
     what: &'static str,
     words: &str,
@@ -163,10 +164,9 @@ fn command<const N: usize>(
 ) -> Receiver<String> {
     model.answer = format!("{words} …");
     let (sender, answers) = channel();
-    let control = file_of(group, "control").map_err(io::Error::other);
+    let control = group.file("control");
     let ask = move || {
-        let answer =
-            control.and_then(|path| ask(&path, what, &request)).unwrap_or_else(|error| format!("no {what}: {error}"));
+        let answer = ask(&control, what, &request).unwrap_or_else(|error| format!("no {what}: {error}"));
         // The view may be gone by now.
         let _ = sender.send(answer);
     };

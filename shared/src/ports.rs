@@ -89,7 +89,12 @@ fn with_patience<T>(mut attempt: impl FnMut() -> Result<T, PortError>) -> Result
     loop {
         match attempt() {
             // By the transport's own names: `ExceedsMaxSupportedPublishers` and its kin.
-            Err(e) if e.why.contains("ExceedsMax") && clock::now_ns() < until_ns => clock::sleep_ns(ROOM_AGAIN_NS),
+            Err(e) if e.why.contains("ExceedsMax") => {
+                if clock::now_ns() >= until_ns {
+                    return Err(PortError { why: format!("living processes take all places ({})", e.why), ..e });
+                }
+                clock::sleep_ns(ROOM_AGAIN_NS);
+            }
             done => return done,
         }
     }

@@ -13,9 +13,9 @@ use std::time::Duration;
 
 use loopbound_shared::group::Group;
 use loopbound_shared::law::LawKind;
-use rustix::io::Errno;
+use loopbound_shared::run_id::RunId;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::net::sockopt::socket_peercred;
-use rustix::net::{RecvFlags, recv};
 use rustix::process::geteuid;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -45,6 +45,9 @@ pub struct SwapRequest {
     pub blend_ns: Option<u64>,
     /// Skips the gate, not the safety checks.
     pub force: bool,
+    /// The run that is meant, by its id; whichever runs if none is named.
+    #[serde(default)]
+    pub run: Option<String>,
 }
 
 /// What `loopbound fault` asks for. Its line is `{"fault": {…}}`.
@@ -61,6 +64,9 @@ pub struct FaultRequest {
     pub for_ns: Option<u64>,
     /// What is added to the torque of the first link, N·m; of a glitch.
     pub value_nm: Option<f64>,
+    /// The run that is meant, by its id; whichever runs if none is named.
+    #[serde(default)]
+    pub run: Option<String>,
 }
 
 /// What came of an injected fault.
@@ -105,6 +111,24 @@ impl Request {
             Some(fault) => serde_json::from_value(fault).map(Self::Fault),
             None => serde_json::from_value(value).map(Self::Swap),
         }
+    }
+
+    /// The run that is meant.
+    pub(super) fn run(&self) -> Option<&str> {
+        match self {
+            Self::Swap(swap) => swap.run.as_deref(),
+            Self::Fault(fault) => fault.run.as_deref(),
+        }
+    }
+
+    /// The same request, of this run.
+    fn of_run(mut self, run: RunId) -> Self {
+        let place = match &mut self {
+            Self::Swap(swap) => &mut swap.run,
+            Self::Fault(fault) => &mut fault.run,
+        };
+        *place = Some(run.to_string());
+        self
     }
 
     fn to_line(&self) -> Result<String, serde_json::Error> {
@@ -202,13 +226,11 @@ pub(super) struct Client {
 }
 
 impl Client {
-    /// Whether nobody waits at the other end any more.
+    /// Whether nobody waits at the other end any more. One that only has nothing more to say does.
     pub(super) fn has_left(&self) -> bool {
-        let peeked = recv(&self.stream, &mut [0; 1], RecvFlags::PEEK | RecvFlags::DONTWAIT);
-        match peeked {
-            Ok((count, _)) => count == 0,
-            Err(error) => error != Errno::WOULDBLOCK && error != Errno::INTR,
-        }
+        let mut look = [PollFd::new(&self.stream, PollFlags::empty())];
+        let at_once = Timespec { tv_sec: 0, tv_nsec: 0 };
+        poll(&mut look, Some(&at_once)).is_ok() && look[0].revents().intersects(PollFlags::HUP | PollFlags::ERR)
     }
 
     /// Whoever has left meanwhile gets none.
@@ -233,10 +255,11 @@ fn read_line(stream: &UnixStream) -> Result<String, String> {
 /// If the group is not running, or has no such socket (yet).
 pub fn connect(group: &str, request: &Request) -> anyhow::Result<Option<Answer>> {
     use anyhow::Context as _;
-    let path = Group::join(group)?.file(FILE);
-    let mut stream = by_short_path(&path, UnixStream::connect)
+    let joined = Group::join(group)?;
+    let mut stream = by_short_path(&joined.file(FILE), UnixStream::connect)
         .with_context(|| format!("the supervisor of group {group} does not answer"))?;
-    writeln!(stream, "{}", request.to_line()?)?;
+    writeln!(stream, "{}", request.clone().of_run(joined.run_id()).to_line()?)?;
+    drop(joined);
     let mut line = String::new();
     // A supervisor that is killed closes the connection.
     BufReader::new(stream).read_line(&mut line).unwrap_or(0);
@@ -270,10 +293,22 @@ mod tests {
             }
             loopbound_shared::clock::sleep_ns(1_000_000);
         };
-        assert_eq!(request.unwrap(), asked);
+        assert_eq!(request.unwrap(), asked.of_run(group.run_id()));
+        assert!(!waiting.has_left());
         let report = Answer::Report(Box::new(SwapReport { tick: 7, to: 2, ..SwapReport::default() }));
         waiting.answer(&report);
         assert_eq!(client.join().unwrap(), Some(report));
+    }
+
+    #[test]
+    fn a_client_has_left_when_it_has_closed_its_end_and_not_when_it_has_said_all() {
+        let (stream, other) = UnixStream::pair().unwrap();
+        let client = Client { stream };
+        assert!(!client.has_left());
+        other.shutdown(std::net::Shutdown::Write).unwrap();
+        assert!(!client.has_left(), "it waits for the answer");
+        drop(other);
+        assert!(client.has_left());
     }
 
     #[test]

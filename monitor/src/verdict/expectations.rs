@@ -18,7 +18,8 @@ use crate::summary::{Finding, Judgement, Summary, Verdict};
 /// Quantiles that have a key.
 const QUANTILES: [(&str, f64); 4] = [("p50", 0.5), ("p90", 0.9), ("p99", 0.99), ("p99_9", 0.999)];
 /// Tables of the summary whose keys are not known beforehand; what does not occur in them has occurred zero times.
-const COUNTED: [&str; 5] = ["late_ticks_by_cause", "missed_ticks_by_cause", "counters", "events", "faults_injected"];
+const COUNTED: [&str; 6] =
+    ["late_ticks_by_cause", "missed_ticks_by_cause", "counters", "events", "faults_injected", "strangers"];
 /// Tables in which anything may stand.
 const OPEN: [&str; 3] = ["host", "scenario", "supervision"];
 
