@@ -3,6 +3,7 @@
 //! Each is a process of its own, so that the supervisor has nothing else to do. They leave by themselves when the group
 //! has ended, and give the terminal back before the report is printed.
 
+use std::io::Write as _;
 use std::os::unix::process::CommandExt as _;
 use std::process::{Child, Command, Stdio};
 use std::thread::JoinHandle;
@@ -12,6 +13,7 @@ use loopbound_monitor::live::Address;
 use loopbound_shared::clock::{NS_PER_S, now_ns, sleep_ns};
 use loopbound_shared::say;
 use rustix::process::{Pid, Signal, getpid, kill_process};
+use rustix::termios::{OptionalActions, Termios, tcgetattr, tcsetattr};
 
 use crate::exit::{Exit, Failure};
 
@@ -36,10 +38,14 @@ impl Guest {
     /// If there is no terminal, or no process.
     pub fn view(group: &str) -> anyhow::Result<Self> {
         anyhow::ensure!(say::to_terminal(), Failure::usage("--tui needs a terminal"));
+        let before = tcgetattr(say::screen()).ok();
         let view = command(group, VIEW_ID)?.arg("--tui").spawn().context("the live view")?;
-        Self::wait_for(view, |code| {
+        Self::wait_for(view, move |code| {
             if code == Some(i32::from(Exit::Interrupted.code())) {
                 let _ = kill_process(getpid(), Signal::INT);
+            }
+            if let (None, Some(before)) = (code, before) {
+                give_terminal_back(&before);
             }
         })
     }
@@ -94,6 +100,13 @@ impl Drop for Guest {
             }
         }
     }
+}
+
+/// What a view that was killed could not do: the ordinary screen and its cursor, lines and echo as before.
+fn give_terminal_back(before: &Termios) {
+    let mut screen = say::screen();
+    let _ = write!(screen, "\x1b[?1049l\x1b[?25h").and_then(|()| screen.flush());
+    let _ = tcsetattr(screen, OptionalActions::Now, before);
 }
 
 fn command(group: &str, id: u32) -> anyhow::Result<Command> {

@@ -4,6 +4,7 @@
 //! monitor does: at the ordinary priority, never a listener, so that the loop does not feel it.
 
 pub mod model;
+mod screen;
 pub mod view;
 
 use std::io::{self, BufRead as _, BufReader, Write as _};
@@ -21,12 +22,11 @@ use loopbound_shared::role::{Joined, RoleError};
 use loopbound_shared::sample::{TickRecord, record_flag};
 use loopbound_shared::topics::Topic;
 use loopbound_shared::with_links;
-use ratatui::DefaultTerminal;
-use ratatui::crossterm::event::{self, Event as Input, KeyCode, KeyEventKind, KeyModifiers};
 use serde_json::{Value, json};
 
 use crate::run::{MonitorArgs, START_NS, join_soon};
 use model::{Model, Wish};
+use screen::{Input, Screen};
 
 /// Between two pictures.
 const PICTURE: Duration = Duration::from_millis(50);
@@ -48,6 +48,8 @@ pub enum Left {
     Quit,
     /// By Ctrl-C: whoever started the group should end it.
     Interrupted,
+    /// The terminal has gone: whatever runs goes on.
+    TerminalGone,
 }
 
 /// Watches a group on the terminal until it ends or the view is left.
@@ -64,8 +66,7 @@ fn watch<const N: usize>(args: &MonitorArgs, joined: &Joined, stop: &AtomicBool)
     let records = joined.node.subscriber::<TickRecord>(TickRecord::DEPTH)?.uncounted();
     let announces = joined.node.announces()?.uncounted();
     let mut model = Model::<N>::new(&args.group, &joined.scenario)?;
-    let mut terminal =
-        ratatui::try_init().map_err(|error| RoleError::Other(format!("the view needs a terminal: {error}")))?;
+    let mut screen = Screen::open().map_err(|error| RoleError::Other(format!("the view needs a terminal: {error}")))?;
     let mut answers: Option<Receiver<String>> = None;
     let (mut interval_ns, mut heard_ns, mut last) = (now_ns(), now_ns(), false);
     let left = loop {
@@ -91,46 +92,28 @@ fn watch<const N: usize>(args: &MonitorArgs, joined: &Joined, stop: &AtomicBool)
         if let Some(answer) = answers.as_ref().and_then(|answers| answers.try_recv().ok()) {
             model.answer = answer;
         }
-        if let Err(error) = terminal.draw(|frame| view::draw(frame, &model)) {
-            break Err(error);
+        if screen.draw(|frame| view::draw(frame, &model)).is_err() {
+            break Left::TerminalGone;
         }
         let ended = last || stop.load(SeqCst) || now_ns() > heard_ns + SILENCE_NS + START_NS;
         if ended {
-            break Ok(Left::Ended);
+            break Left::Ended;
         }
-        match keys(&mut terminal, &mut model) {
-            Ok(Key::Wish(Wish::Nothing)) => {}
-            Ok(Key::Wish(Wish::Swap)) => answers = Some(swap(&joined.group, &mut model)),
-            Ok(Key::Wish(Wish::Fault(fault))) => answers = Some(strike(&joined.group, &mut model, fault)),
-            Ok(Key::Wish(Wish::Quit)) => break Ok(Left::Quit),
-            Ok(Key::Interrupt) => break Ok(Left::Interrupted),
-            Err(error) => break Err(error),
+        // An error of the terminal is its end too: a view has nobody else to tell.
+        let wish = match screen.input(PICTURE).unwrap_or(Input::Gone) {
+            Input::Key(key) => model.press(key),
+            Input::Interrupt => break Left::Interrupted,
+            Input::Gone => break Left::TerminalGone,
+            Input::Nothing => Wish::Nothing,
+        };
+        match wish {
+            Wish::Nothing => {}
+            Wish::Swap => answers = Some(swap(&joined.group, &mut model)),
+            Wish::Fault(fault) => answers = Some(strike(&joined.group, &mut model, fault)),
+            Wish::Quit => break Left::Quit,
         }
     };
-    ratatui::restore();
-    left.map_err(|error| RoleError::Other(format!("the terminal: {error}")))
-}
-
-enum Key {
-    Wish(Wish),
-    Interrupt,
-}
-
-/// Waits for a key until the next picture is due.
-fn keys<const N: usize>(terminal: &mut DefaultTerminal, model: &mut Model<N>) -> io::Result<Key> {
-    if !event::poll(PICTURE)? {
-        return Ok(Key::Wish(Wish::Nothing));
-    }
-    match event::read()? {
-        Input::Key(key) if key.kind == KeyEventKind::Press => Ok(match key.code {
-            KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => Key::Interrupt,
-            KeyCode::Char(key) => Key::Wish(model.press(key)),
-            KeyCode::Esc => Key::Wish(model.press('\u{1b}')),
-            _ => Key::Wish(Wish::Nothing),
-        }),
-        Input::Resize(..) => terminal.autoresize().map(|()| Key::Wish(Wish::Nothing)),
-        _ => Ok(Key::Wish(Wish::Nothing)),
-    }
+    Ok(left)
 }
 
 /// Asks the supervisor for another controller: a standby if there is one, else a new one with the next law. The answer

@@ -188,7 +188,7 @@ fn names(folder: &Path) -> Vec<String> {
 }
 
 /// Command lines, other than this process's own, in which `word` is an argument.
-fn processes_that_mention(word: &str) -> Vec<String> {
+pub(crate) fn processes_that_mention(word: &str) -> Vec<String> {
     let own = std::process::id().to_string();
     let numbers = names(Path::new("/proc")).into_iter().filter(|n| n.bytes().all(|c| c.is_ascii_digit()) && *n != own);
     let lines = numbers.filter_map(|number| {

@@ -27,6 +27,7 @@ mod strangers;
 mod streams;
 mod studies;
 mod swaps;
+mod terminal;
 mod usage;
 mod users;
 mod verdicts;
