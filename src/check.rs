@@ -14,8 +14,9 @@ use loopbound_shared::headline::Headline;
 use loopbound_shared::say;
 use loopbound_shared::scenario::ExpectSection;
 
+use crate::conclusion::conclude;
 use crate::exit::{Exit, Failure};
-use crate::supervise::write_whole;
+use crate::supervise::{Record, write_whole};
 
 /// `loopbound check`.
 #[derive(Debug, Args)]
@@ -76,6 +77,10 @@ pub fn check(args: &CheckArgs) -> anyhow::Result<Exit> {
     expectations::validate(&section).map_err(|e| Failure::usage(format!("expect: {e}")))?;
     let blocks = read_blocks(&args.run)?;
     summary.verdict = expectations::judge(&section, &summary, &blocks, judge_summary(&summary));
+    // Absent in the files of a monitor that a user attached.
+    if let Ok(record) = serde_json::from_value::<Record>(summary.supervision.clone()) {
+        conclude(&mut summary, &record, None);
+    }
     if let Some(path) = &args.junit {
         write_junit(path, &summary, &args.run)?;
     }

@@ -9,6 +9,7 @@ pub mod check;
 pub mod clean;
 pub mod cli;
 pub mod compare;
+mod conclusion;
 pub mod doctor;
 pub mod exit;
 pub mod fault;

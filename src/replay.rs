@@ -319,12 +319,15 @@ impl Report {
 }
 
 fn exit_of(report: &Report) -> Exit {
+    // Of the recorded verdict only that the run was not whole concerns what is computed here.
+    let partial = |verdict: &Headline| matches!(verdict, Headline::RoleLost | Headline::Incomplete);
     let counts = |verdict: &Headline| *verdict == Headline::Diverged || (report.what_if && verdict.is_bad());
     let verdict = Headline::of_word(&report.verdict).filter(counts);
     let found = [
         (report.differences > 0).then_some(Headline::Failed),
         verdict,
         (!report.incomplete.is_empty()).then_some(Headline::Incomplete),
+        report.verdict_recorded.as_deref().and_then(Headline::of_word).filter(partial),
         (!report.is_whole()).then_some(Headline::Inconclusive),
     ];
     Headline::first_of(found.into_iter().flatten()).unwrap_or(Headline::Held).into()

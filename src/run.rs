@@ -14,6 +14,7 @@ use serde_json::Value;
 
 use crate::check;
 use crate::cli::ScenarioArgs;
+use crate::conclusion;
 use crate::exit::{Exit, Failure};
 use crate::guests::Guest;
 use crate::progress::Progress;
@@ -100,12 +101,21 @@ fn progress(args: &RunArgs, scenario: &Scenario) -> std::io::Result<Progress> {
 fn report(args: &RunArgs, outcome: Outcome) -> anyhow::Result<Exit> {
     let Outcome { record, summary, results, stopped } = outcome;
     let mut summary = summary.map(|value| complete(value, &record)).transpose()?;
+    if let Some(summary) = &mut summary {
+        conclusion::conclude(summary, &record, stopped);
+    }
     match (results, &mut summary) {
         (Some(results), Some(summary)) => results::finish(results, summary),
         (Some(results), None) => results.leave_unfinished("the monitor left no summary"),
         (None, _) => {}
     }
-    let exit = exit_of(stopped, &record, summary.as_ref());
+    if let Some(summary) = &mut summary {
+        conclusion::conclude_recording(summary);
+    }
+    let (headline, reasons) = summary.as_ref().map_or_else(
+        || conclusion::without_summary(&record, stopped),
+        |summary| (summary.verdict.headline(), Vec::new()),
+    );
     let mut stdout = say::stdout();
     match &summary {
         Some(summary) if args.json => writeln!(stdout, "{}", serde_json::to_string_pretty(summary)?)?,
@@ -116,7 +126,8 @@ fn report(args: &RunArgs, outcome: Outcome) -> anyhow::Result<Exit> {
         }
         // Whoever waits for a document gets one, even if the monitor could not write its part.
         None if args.json => {
-            let nothing = serde_json::json!({"supervision": record, "verdict": {"status": "no data", "reasons": []}});
+            let verdict = serde_json::json!({"status": headline.word(), "reasons": reasons});
+            let nothing = serde_json::json!({"supervision": record, "verdict": verdict});
             writeln!(stdout, "{}", serde_json::to_string_pretty(&nothing)?)?;
         }
         _ => {}
@@ -128,7 +139,7 @@ fn report(args: &RunArgs, outcome: Outcome) -> anyhow::Result<Exit> {
     for line in errors(&record, summary.as_ref()).into_iter().chain(notes) {
         say::err!("loopbound: {line}");
     }
-    Ok(exit)
+    Ok(headline.into())
 }
 
 /// The monitor's summary with the launcher's part in it.
@@ -167,55 +178,15 @@ fn said(record: &Record) -> Vec<String> {
     record.processes.iter().flat_map(lines).collect()
 }
 
-fn exit_of(stopped: Option<Exit>, record: &Record, summary: Option<&Summary>) -> Exit {
-    if let Some(exit) = stopped {
-        return exit;
-    }
-    let lost = |summary: &Summary| summary.recording.as_ref().is_some_and(|recording| !recording.whole);
-    if record.unrecovered().is_some() || summary.is_none_or(lost) {
-        return Exit::RoleDied;
-    }
-    summary.map_or(Exit::RoleDied, |summary| check::exit_of(&summary.verdict))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::supervise::Death;
-    use loopbound_monitor::summary::RecordingSummary;
 
     fn died(recovered: bool) -> Record {
         let death =
             Death { role: "controller".into(), id: 1, pid: 1, tick: 5, how: "killed (SIGKILL)".into(), recovered };
         Record { end: "done".into(), deaths: vec![death], ..Record::default() }
-    }
-
-    fn judged(status: &str) -> Summary {
-        let mut summary = Summary::default();
-        summary.verdict.status = status.to_owned();
-        summary
-    }
-
-    #[test]
-    fn a_signal_outweighs_a_death_and_a_death_outweighs_the_verdict() {
-        let held = judged("held");
-        assert_eq!(exit_of(None, &Record::default(), Some(&held)), Exit::Held);
-        assert_eq!(exit_of(None, &Record::default(), Some(&judged("violated"))), Exit::Failed);
-        assert_eq!(exit_of(None, &Record::default(), Some(&judged("inconclusive"))), Exit::Inconclusive);
-        assert_eq!(exit_of(None, &died(true), Some(&held)), Exit::Held);
-        assert_eq!(exit_of(None, &died(false), Some(&held)), Exit::RoleDied);
-        assert_eq!(exit_of(None, &Record::default(), None), Exit::RoleDied);
-        assert_eq!(exit_of(Some(Exit::Interrupted), &died(false), None), Exit::Interrupted);
-    }
-
-    #[test]
-    fn a_run_that_held_and_is_not_recorded_as_it_was_asked_to_be_is_incomplete() {
-        let mut summary = judged("held");
-        summary.recording = Some(RecordingSummary { whole: true, error: None });
-        assert_eq!(exit_of(None, &Record::default(), Some(&summary)), Exit::Held);
-        summary.recording = Some(RecordingSummary { whole: false, error: None });
-        assert_eq!(exit_of(None, &Record::default(), Some(&summary)), Exit::RoleDied);
-        assert_eq!(exit_of(Some(Exit::Interrupted), &Record::default(), Some(&summary)), Exit::Interrupted);
     }
 
     #[test]

@@ -552,6 +552,7 @@ impl<'a> Supervisor<'a> {
             group: self.group.name().to_owned(),
             start_up_ns: self.ready_ns.saturating_sub(self.started_ns),
             end: end.to_string(),
+            ticks_planned: self.stop_tick,
             processes: self.children.iter().map(process).collect(),
             deaths: self.deaths.clone(),
         }

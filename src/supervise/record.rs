@@ -14,6 +14,9 @@ pub struct Record {
     pub start_up_ns: u64,
     /// Why the group ended.
     pub end: String,
+    /// Ticks that the run was to have, with what it was prolonged by; 0 in files of versions before.
+    #[serde(default)]
+    pub ticks_planned: u64,
     /// Everyone that was started.
     pub processes: Vec<ProcessRecord>,
     /// Deaths before the end of the run, in order of time.

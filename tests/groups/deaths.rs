@@ -184,3 +184,24 @@ fn a_signal_during_the_start_ends_it_without_a_trace() {
     assert_eq!(running.wait().code, Some(130));
     case.assert_nothing_left();
 }
+
+#[test]
+fn a_plant_that_a_signal_ends_alone_leaves_an_incomplete_run_whatever_was_expected() {
+    for (signal, mode) in [(Signal::INT, "realtime"), (Signal::HUP, "realtime"), (Signal::TERM, "lockstep")] {
+        let case = Case::new(&format!("plant-alone-{mode}"));
+        let out = case.work.path().join("out");
+        let out = out.to_str().expect("a path in UTF-8");
+        let scenario = format!("[loop]\nmode = \"{mode}\"\nduration = \"100000s\"\n[expect]\nticks = \">= 1\"\n");
+        let mut running = case.run(&scenario, &["--out", out]);
+        running.wait_until_active();
+        let pid = running.process("plant", 1, &["ready", "active"]);
+        send(pid, signal);
+        let ended = running.wait();
+        let summary = ended.json_with(5);
+        assert_eq!(summary["verdict"]["status"], "incomplete", "{}", summary["verdict"]);
+        let ended = case.output(&["check", out]);
+        assert!(ended.code == Some(5) && ended.out.contains("incomplete"), "{ended:?}");
+        assert_eq!(case.output(&["report", out]).code, Some(5));
+        case.assert_nothing_left();
+    }
+}

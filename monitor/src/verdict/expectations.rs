@@ -10,7 +10,7 @@ use loopbound_shared::headline::Headline;
 use loopbound_shared::scenario::{Budget, Comparator, ExpectSection, Expectation};
 use serde_json::Value;
 
-use super::blocks::Blocks;
+use super::blocks::{Blocks, LAST_BUCKET, NEVER_NS};
 use super::limits::{Limits, estimate, limits};
 use crate::hops::Hop;
 use crate::summary::{Finding, Judgement, Summary, Verdict};
@@ -52,6 +52,9 @@ pub fn validate(section: &ExpectSection) -> Result<(), String> {
             Budget::Floor(_) if floor_key(key).is_none_or(|floor| lookup(&value, &floor).is_none()) => {
                 return Err(format!("`{expectation}`: the floor has no `{}`", key.rsplit('.').next().unwrap_or(key)));
             }
+            Budget::Number(_) if is_latency(key) => {
+                return Err(format!("`{expectation}`: a latency needs a unit, such as 200us"));
+            }
             Budget::Time(_) if !open && unit_ns(key).is_none() => {
                 return Err(format!("`{expectation}`: `{key}` is not a time"));
             }
@@ -76,7 +79,7 @@ pub fn judge(section: &ExpectSection, summary: &Summary, blocks: &Blocks, natura
     let alpha = (1.0 - section.confidence) / many as f64;
     let one = |expectation: &Expectation| match quantile_of(&expectation.key) {
         Some(which) if !summary.latency_is_virtual => by_limits(expectation, which, blocks, alpha),
-        _ => directly(expectation, &value),
+        which => directly(expectation, &value, which, blocks),
     };
     let expectations: Vec<Judgement> = section.conditions.iter().map(one).collect();
     let any = |finding| expectations.iter().any(|judgement| judgement.outcome == finding);
@@ -134,15 +137,63 @@ fn by_limits(expectation: &Expectation, (hop, quantile): (Hop, f64), blocks: &Bl
         Finding::Inconclusive
     };
     let mut reason = format!("{expectation}: measured {} in [{}, {}]", time(measured), time(lower), time(upper));
+    let absent = absent(hop, blocks);
+    if absent > 0 {
+        reason = format!("{reason}, with {absent} ticks without a torque above every budget");
+    }
     if relative {
         reason = format!("{reason}, budget {} in [{}, {}]", time(budget), time(low), time(high));
     }
     Judgement { expectation: expectation.to_string(), outcome, measured, lower, upper, budget, reason }
 }
 
-fn directly(expectation: &Expectation, summary: &Value) -> Judgement {
+/// Whether a key is a latency of a hop that is given without its unit.
+fn is_latency(key: &str) -> bool {
+    !key.starts_with("latency_ns.") && key.contains('.') && unit_ns(key).is_some() && !key.ends_with("_ns")
+}
+
+/// Ticks without an accepted torque: in these two hops they are above every budget.
+fn absent(hop: Hop, blocks: &Blocks) -> u64 {
+    if !matches!(hop, Hop::RoundTrip | Hop::DeadlineToTorque) {
+        return 0;
+    }
+    let never = blocks.of(hop).flatten().filter(|(bucket, _)| *bucket == LAST_BUCKET);
+    never.map(|(_, count)| u64::from(*count)).sum()
+}
+
+/// What a key is compared as where nothing is sampled, and what is said of it: a figure of a hop includes the ticks that had
+/// no torque, and late ticks include them.
+fn with_absent(key: &str, found: Option<Value>, which: Option<(Hop, f64)>, blocks: &Blocks) -> (Option<Value>, String) {
+    let bare = key.strip_prefix("latency_ns.").unwrap_or(key);
+    let (first, figure) = bare.split_once('.').unwrap_or((bare, ""));
+    let hop = Hop::ALL.into_iter().find(|hop| hop.name() == first);
+    let absent = absent(hop.unwrap_or(Hop::DeadlineToTorque), blocks);
+    let said = format!(", and {absent} ticks had no torque");
+    match (hop, figure) {
+        (None, "") if key == "late_ticks" && absent > 0 => {
+            let all = found.as_ref().and_then(Value::as_u64).map(|late| Value::from(late.saturating_add(absent)));
+            (all, said)
+        }
+        (Some(_), "max" | "mean") if absent > 0 => (found.map(|_| Value::from(NEVER_NS)), said),
+        (Some(hop), _) => {
+            let Some((_, quantile)) = which else { return (found, String::new()) };
+            let samples: u64 = blocks.of(hop).flatten().map(|(_, n)| u64::from(*n)).sum();
+            // With fewer, the quantile is the largest sample: nothing is known of what lies above it.
+            if samples > 0 && (samples as f64) < (1.0 / (1.0 - quantile)).round() {
+                return (None, format!(" of {samples} samples, too few for this quantile"));
+            }
+            if absent == 0 {
+                return (found, String::new());
+            }
+            (estimate(quantile, blocks.of(hop)).map(Value::from), said)
+        }
+        _ => (found, String::new()),
+    }
+}
+
+fn directly(expectation: &Expectation, summary: &Value, which: Option<(Hop, f64)>, blocks: &Blocks) -> Judgement {
     let key = expectation.key.as_str();
-    let found = lookup(summary, key).cloned();
+    let (found, said) = with_absent(key, lookup(summary, key).cloned(), which, blocks);
     let counted = COUNTED.contains(&key.split('.').next().unwrap_or(key));
     let found = found.or_else(|| counted.then(|| Value::from(0)));
     let measured = found.as_ref().and_then(Value::as_f64);
@@ -163,13 +214,21 @@ fn directly(expectation: &Expectation, summary: &Value) -> Judgement {
         }
         _ => measured.zip(budget).map(|(measured, budget)| expectation.comparator.holds(measured, budget)),
     };
+    // A torque that never came is not slow enough for anything either.
+    let at_least = matches!(expectation.comparator, Comparator::Greater | Comparator::GreaterOrEqual);
+    let never = found.as_ref().and_then(Value::as_u64) == Some(NEVER_NS);
     let outcome = match holds {
+        Some(true) if at_least && never => Finding::Inconclusive,
         Some(true) => Finding::Pass,
         Some(false) => Finding::Fail,
         None => Finding::Inconclusive,
     };
-    let shown = found.filter(|found| !found.is_null()).map_or_else(|| "nothing".to_owned(), |found| found.to_string());
-    let reason = format!("{expectation}: found {shown}");
+    let shown = match found.filter(|found| !found.is_null()) {
+        None => "nothing".to_owned(),
+        Some(_) if never => "never".to_owned(),
+        Some(found) => found.to_string(),
+    };
+    let reason = format!("{expectation}: found {shown}{said}");
     Judgement { expectation: expectation.to_string(), outcome, measured, budget, reason, ..Judgement::default() }
 }
 
@@ -187,6 +246,10 @@ fn floor_key(key: &str) -> Option<String> {
 /// How many ns the unit of a key has; none for what is not a time.
 fn unit_ns(key: &str) -> Option<f64> {
     let hop = key.strip_prefix("latency_ns.").unwrap_or(key).split('.').next().unwrap_or(key);
+    // Counts of a distribution are no times.
+    if [".n", ".overflow", ".negative"].iter().any(|count| key.ends_with(count)) {
+        return None;
+    }
     let in_ns = key.ends_with("_ns") || hop == "jitter_ns" || Hop::ALL.iter().any(|known| known.name() == hop);
     if in_ns {
         return Some(1.0);
@@ -279,6 +342,60 @@ mod tests {
     }
 
     #[test]
+    fn a_tick_without_a_torque_keeps_no_budget_where_nothing_is_sampled_either() {
+        // 28 round trips of 1 µs, then 372 ticks without one.
+        let blocks = |answered: u32, absent: u32| {
+            let mut blocks = Blocks::new(5_000_000);
+            let mut hops = vec![Vec::new(); Hop::ALL.len()];
+            for hop in [Hop::RoundTrip, Hop::DeadlineToTorque] {
+                hops[hop as usize] = [(bucket(1000), answered), (LAST_BUCKET, absent)].map(|c| c).to_vec();
+                hops[hop as usize].retain(|(_, count)| *count > 0);
+            }
+            hops[Hop::Compute as usize] = vec![(bucket(1000), answered)];
+            blocks.push(Block { index: 0, hops });
+            blocks
+        };
+        let judged = |toml: &str, blocks: &Blocks| {
+            let section = ExpectSection::from_toml(toml, "test").unwrap();
+            validate(&section).unwrap();
+            let mut summary = Summary { latency_is_virtual: true, ticks: 400, ..Summary::default() };
+            let all = crate::summary::Quantiles {
+                n: 28,
+                p50: Some(1000.0),
+                p90: Some(1000.0),
+                p99: Some(1000.0),
+                p99_9: Some(1000.0),
+                max: Some(1000.0),
+                mean: Some(1000.0),
+                ..crate::summary::Quantiles::default()
+            };
+            (summary.latency_ns.round_trip, summary.latency_ns.deadline_to_torque) = (all, all);
+            summary.latency_ns.compute = all;
+            judge(&section, &summary, blocks, Verdict::of(Headline::Held, Vec::new()))
+        };
+        let status = |toml: &str, blocks: &Blocks| judged(toml, blocks).status;
+        let (some, none) = (blocks(28, 372), blocks(400, 0));
+        for toml in [
+            "late_ticks = 0",
+            "'round_trip.p50' = '<= 200us'",
+            "'round_trip.p99' = '<= 200us'",
+            "'round_trip.max' = '<= 200us'",
+            "'round_trip.mean' = '<= 200us'",
+            "'deadline_to_torque.p99' = '<= 1s'",
+            "'latency_ns.deadline_to_torque.max' = '<= 10s'",
+        ] {
+            assert_eq!(status(toml, &some), "failed", "{toml}");
+            assert_eq!(status(toml, &none), "passed", "{toml}");
+        }
+        assert!(judged("late_ticks = 0", &some).reasons[0].contains("372 ticks had no torque"));
+        // Nor is it slow; and a quantile of too few samples is none.
+        assert_eq!(status("'round_trip.p99' = '>= 1ms'", &some), "inconclusive");
+        assert_eq!(status("'round_trip.p99_9' = '<= 200us'", &none), "inconclusive");
+        assert_eq!(status("'compute.p99' = '<= 200us'", &some), "inconclusive");
+        assert_eq!(status("'compute.max' = '<= 200us'", &some), "passed");
+    }
+
+    #[test]
     fn what_could_never_be_judged_is_refused_before_the_run() {
         for (toml, named) in [
             ("'round_trip.p98' = '<= 1us'", "round_trip.p98"),
@@ -286,6 +403,10 @@ mod tests {
             ("'missed_ticks' = '<= 3 floor'", "floor"),
             ("'missed_ticks' = '<= 3us'", "not a time"),
             ("'round_trip.p99' = '== 3us'", "never exactly"),
+            ("'round_trip.p99' = '<= 200'", "needs a unit"),
+            ("'deadline_to_torque.max' = '<= 200'", "needs a unit"),
+            ("'jitter_ns.std' = '<= 200'", "needs a unit"),
+            ("'round_trip.n' = '>= 3us'", "not a time"),
         ] {
             let section = ExpectSection::from_toml(toml, "test").unwrap();
             let error = validate(&section).unwrap_err();

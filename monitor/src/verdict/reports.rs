@@ -4,7 +4,6 @@ use std::fmt::Write as _;
 
 use loopbound_shared::headline::Headline;
 
-use super::expectations::time;
 use crate::summary::{Finding, Summary, Verdict};
 
 /// Name of the verdict's file for build servers in the folder of a run.
@@ -100,9 +99,8 @@ pub fn one_line(verdict: &Verdict) -> String {
     let named = |finding: Finding| verdict.expectations.iter().filter(move |j| j.outcome == finding);
     let (passed, failed) = (named(Finding::Pass).count(), named(Finding::Fail).count());
     let open = named(Finding::Inconclusive).count();
-    let worst = named(Finding::Fail).next().map_or_else(String::new, |judgement| {
-        format!(", first: {} (measured {})", judgement.expectation, time(judgement.measured))
-    });
+    let worst =
+        named(Finding::Fail).next().map_or_else(String::new, |judgement| format!(", first: {}", judgement.reason));
     format!("{}: {passed} passed, {failed} failed, {open} inconclusive{worst}", verdict.status)
 }
 
