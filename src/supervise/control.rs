@@ -1,16 +1,18 @@
 //! The socket in the group's folder by which `loopbound swap` and `loopbound fault` talk to the supervisor: one line of JSON
 //! each way.
 //!
-//! The supervisor looks at it between its other looks, and never waits for a client longer than a moment.
+//! The supervisor looks at it between its other looks, and waits for nobody: a client that says nothing has one of a few
+//! places for a moment, and no look at it costs more than one system call.
 
+use std::collections::VecDeque;
 use std::fs::{File, Permissions};
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::os::fd::AsRawFd as _;
 use std::os::unix::fs::PermissionsExt as _;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
+use loopbound_shared::clock;
 use loopbound_shared::group::Group;
 use loopbound_shared::law::LawKind;
 use loopbound_shared::run_id::RunId;
@@ -23,11 +25,15 @@ use serde_json::Value;
 /// Name of the socket.
 pub const FILE: &str = "control";
 /// A client that has connected writes its line at once.
-const LINE_WITHIN: Duration = Duration::from_millis(200);
+const LINE_WITHIN_NS: u64 = 1_000_000_000;
+/// Clients that have not written their line yet; one more takes the place of the oldest.
+const WAITING_MAX: usize = 16;
+/// Connections taken at one look: the rest waits for the next.
+const ACCEPTED_MAX: usize = 1024;
 /// A socket's path is shorter.
 const SOCKET_PATH_MAX: usize = 108;
 /// No request is longer.
-const LINE_MAX: u64 = 64 * 1024;
+const LINE_MAX: usize = 64 * 1024;
 
 /// What `loopbound swap` asks for: exactly one of `law`, `exe`, `to`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -191,6 +197,7 @@ pub enum Answer {
 /// The supervisor's end.
 pub(super) struct Control {
     listener: UnixListener,
+    waiting: VecDeque<Connection>,
 }
 
 impl Control {
@@ -200,18 +207,72 @@ impl Control {
         // Nobody else may enter the folder; nor could anybody else use the socket.
         std::fs::set_permissions(&path, Permissions::from_mode(0o600))?;
         listener.set_nonblocking(true)?;
-        Ok(Self { listener })
+        Ok(Self { listener, waiting: VecDeque::new() })
     }
 
-    /// The next client that waits, with what it asks for.
-    pub(super) fn accept(&self) -> Option<(Client, Result<Request, String>)> {
-        let (stream, _) = self.listener.accept().ok()?;
-        if !may_command(&stream) {
-            return None;
+    /// The next client that has asked for something, with what it asks for.
+    pub(super) fn accept(&mut self) -> Option<(Client, Result<Request, String>)> {
+        for _ in 0..ACCEPTED_MAX {
+            let Ok((stream, _)) = self.listener.accept() else { break };
+            if !may_command(&stream) || stream.set_nonblocking(true).is_err() {
+                continue;
+            }
+            let mut connection = Connection { stream, line: Vec::new(), since_ns: clock::now_ns() };
+            // The rule: the line is there already.
+            match connection.read() {
+                Heard::Line(request) => return Some((Client { stream: connection.stream }, request)),
+                Heard::Nothing if self.waiting.len() < WAITING_MAX => {}
+                Heard::Nothing => drop(self.waiting.pop_front()),
+                Heard::End => continue,
+            }
+            self.waiting.push_back(connection);
         }
-        let line = read_line(&stream);
-        let request = line.and_then(|line| Request::from_line(&line).map_err(|e| e.to_string()));
-        Some((Client { stream }, request))
+        let now_ns = clock::now_ns();
+        for _ in 0..self.waiting.len() {
+            let mut connection = self.waiting.pop_front()?;
+            match connection.read() {
+                Heard::Line(request) => return Some((Client { stream: connection.stream }, request)),
+                Heard::Nothing if now_ns < connection.since_ns + LINE_WITHIN_NS => self.waiting.push_back(connection),
+                Heard::Nothing | Heard::End => {}
+            }
+        }
+        None
+    }
+}
+
+/// Somebody who has not written a whole line yet.
+struct Connection {
+    stream: UnixStream,
+    line: Vec<u8>,
+    since_ns: u64,
+}
+
+enum Heard {
+    Line(Result<Request, String>),
+    /// Nothing more for now.
+    Nothing,
+    /// It has left.
+    End,
+}
+
+impl Connection {
+    fn read(&mut self) -> Heard {
+        let mut bytes = [0; 4096];
+        loop {
+            match self.stream.read(&mut bytes) {
+                Ok(0) => return Heard::End,
+                Ok(length) => self.line.extend_from_slice(&bytes[..length]),
+                Err(error) if error.kind() == std::io::ErrorKind::WouldBlock => return Heard::Nothing,
+                Err(_) => return Heard::End,
+            }
+            if let Some(end) = self.line.iter().position(|byte| *byte == b'\n') {
+                let line = String::from_utf8_lossy(&self.line[..end]);
+                return Heard::Line(Request::from_line(&line).map_err(|e| e.to_string()));
+            }
+            if self.line.len() > LINE_MAX {
+                return Heard::Line(Err(format!("it is longer than {LINE_MAX} bytes")));
+            }
+        }
     }
 }
 
@@ -233,20 +294,11 @@ impl Client {
         poll(&mut look, Some(&at_once)).is_ok() && look[0].revents().intersects(PollFlags::HUP | PollFlags::ERR)
     }
 
-    /// Whoever has left meanwhile gets none.
+    /// Whoever has left meanwhile gets none, nor does one who leaves no room for a line.
     pub(super) fn answer(mut self, answer: &Answer) {
         let line = serde_json::to_string(answer).unwrap_or_default();
-        let _ = self.stream.set_write_timeout(Some(LINE_WITHIN));
-        let _ = writeln!(self.stream, "{line}");
+        let _ = self.stream.write_all(format!("{line}\n").as_bytes());
     }
-}
-
-fn read_line(stream: &UnixStream) -> Result<String, String> {
-    let mut line = String::new();
-    stream.set_nonblocking(false).map_err(|e| e.to_string())?;
-    stream.set_read_timeout(Some(LINE_WITHIN)).map_err(|e| e.to_string())?;
-    BufReader::new(stream.take(LINE_MAX)).read_line(&mut line).map_err(|e| e.to_string())?;
-    Ok(line)
 }
 
 /// Asks the supervisor of a running group and waits for its answer; `None` if the group ended meanwhile.
@@ -283,7 +335,7 @@ mod tests {
     fn a_request_reaches_the_supervisor_and_its_answer_the_client() {
         let name = format!("test-control-{}", std::process::id());
         let group = Group::create(&name).unwrap();
-        let control = Control::open(&group).unwrap();
+        let mut control = Control::open(&group).unwrap();
         let asked = Request::Swap(SwapRequest { law: Some(LawKind::Ctc), at_tick: Some(7), ..SwapRequest::default() });
         let (request, group_name) = (asked.clone(), name.clone());
         let client = std::thread::spawn(move || connect(&group_name, &request).unwrap());
@@ -312,6 +364,44 @@ mod tests {
     }
 
     #[test]
+    fn hundreds_who_say_nothing_have_a_few_places_and_keep_nobody_else_from_being_heard() {
+        let group = Group::create(&format!("test-control-idle-{}", std::process::id())).unwrap();
+        let mut control = Control::open(&group).unwrap();
+        let mut idle = Vec::new();
+        for round in 0..500 {
+            idle.push(UnixStream::connect(group.file(FILE)).unwrap());
+            // The system holds about a hundred connections that nobody has taken.
+            if round % 50 == 0 {
+                assert!(control.accept().is_none());
+            }
+        }
+        assert!(control.accept().is_none());
+        assert_eq!(control.waiting.len(), WAITING_MAX);
+        let mut half = UnixStream::connect(group.file(FILE)).unwrap();
+        half.write_all(b"{\"to\": 3, \"for").unwrap();
+        assert!(control.accept().is_none());
+        half.write_all(b"ce\": true}\n").unwrap();
+        let (_, request) = control.accept().expect("a line in two parts is heard");
+        let force = SwapRequest { to: Some(3), force: true, ..SwapRequest::default() };
+        assert_eq!(request.unwrap(), Request::Swap(force));
+        let mut endless = UnixStream::connect(group.file(FILE)).unwrap();
+        endless.set_nonblocking(true).unwrap();
+        while endless.write(&[b'x'; 4096]).is_ok() {}
+        let refused = loop {
+            if let Some((_, request)) = control.accept() {
+                break request.unwrap_err();
+            }
+            while endless.write(&[b'x'; 4096]).is_ok() {}
+        };
+        assert!(refused.contains("longer"), "{refused}");
+        for connection in &mut control.waiting {
+            connection.since_ns -= LINE_WITHIN_NS;
+        }
+        assert!(control.accept().is_none());
+        assert_eq!(control.waiting.len(), 0, "their time is over");
+    }
+
+    #[test]
     fn a_line_with_a_fault_is_one_and_any_other_is_a_swap() {
         let fault = FaultRequest { kind: "delay".into(), delay_ns: Some(5), ..FaultRequest::default() };
         for request in [Request::Fault(fault), Request::Swap(SwapRequest::default())] {
@@ -326,7 +416,7 @@ mod tests {
     fn a_supervisor_that_dies_leaves_no_client_waiting_and_a_group_that_is_not_there_is_named() {
         let name = format!("test-control-dead-{}", std::process::id());
         let group = Group::create(&name).unwrap();
-        let control = Control::open(&group).unwrap();
+        let mut control = Control::open(&group).unwrap();
         let group_name = name.clone();
         let client = std::thread::spawn(move || connect(&group_name, &Request::Swap(SwapRequest::default())).unwrap());
         while control.accept().is_none() {

@@ -23,6 +23,8 @@ const COMPARED_NS: u64 = 100_000_000;
 /// How long records are read at one look, and at the last one.
 const READ_NS: u64 = 20_000_000;
 const READ_LAST_NS: u64 = 1_000_000_000;
+/// Requests answered at one look: deaths and signals wait no longer than for these.
+const REQUESTS_MAX: usize = 16;
 
 /// A swap under way.
 pub(super) struct Swapping {
@@ -51,7 +53,8 @@ impl Supervisor<'_> {
     /// Takes new requests, and goes on with the swap under way.
     pub(super) fn serve_clients(&mut self) {
         let own_run = self.group.run_id().to_string();
-        while let Some((client, request)) = self.control.accept() {
+        for _ in 0..REQUESTS_MAX {
+            let Some((client, request)) = self.control.accept() else { break };
             match request {
                 Err(why) => client.answer(&Answer::Usage(format!("the request is not understood: {why}"))),
                 Ok(request) if request.run().is_some_and(|run| run != own_run) => {
