@@ -13,7 +13,9 @@ use loopbound_shared::say;
 use loopbound_shared::scenario::{Mode, Scenario, Wakeup, parse_duration, parse_rate};
 
 use crate::exit::Exit;
-use crate::{bound, check, clean, compare, doctor, fault, model, pages, ps, replay, report, roles, run, study, swap};
+use crate::{
+    bound, check, clean, compare, doctor, fault, keeper, model, pages, ps, replay, report, roles, run, study, swap,
+};
 
 /// kHz control loops split across processes over shared memory: latency measured to the nanosecond, and a Lyapunov
 /// bound checked live.
@@ -165,6 +167,9 @@ A line that can't be answered gets {\"error\": …} on its own line, and the exi
     /// The reference's role, started by `run`.
     #[command(hide = true)]
     Reference(ChildArgs),
+    /// Ends what is left of a run when its launcher has ended; started by `run`.
+    #[command(hide = true)]
+    Keeper(keeper::KeeperArgs),
 }
 
 /// For commands whose only choice is the form of their output.
@@ -386,6 +391,7 @@ fn dispatch(command: Command) -> anyhow::Result<Exit> {
             roles::role(|role, stop| loopbound_controller::run(role, law, stop), args.into_role())
         }
         Command::Reference(args) => roles::role(loopbound_reference::run, args.into_role()),
+        Command::Keeper(args) => keeper::run(&args),
     }
 }
 

@@ -11,6 +11,7 @@ use std::thread::JoinHandle;
 use anyhow::Context as _;
 use loopbound_monitor::live::Address;
 use loopbound_shared::clock::{NS_PER_S, now_ns, sleep_ns};
+use loopbound_shared::group::sweep_if_dead;
 use loopbound_shared::say;
 use rustix::process::{Pid, Signal, getpid, kill_process};
 use rustix::termios::{OptionalActions, Termios, tcgetattr, tcsetattr};
@@ -27,6 +28,7 @@ const LOOK_NS: u64 = 2_000_000;
 
 /// A monitor that was started beside the launcher's own. Ended when it is dropped, at the latest.
 pub struct Guest {
+    group: String,
     pid: Option<Pid>,
     waiting: JoinHandle<()>,
 }
@@ -40,7 +42,7 @@ impl Guest {
         anyhow::ensure!(say::to_terminal(), Failure::usage("--tui needs a terminal"));
         let before = tcgetattr(say::screen()).ok();
         let view = command(group, VIEW_ID)?.arg("--tui").spawn().context("the live view")?;
-        Self::wait_for(view, move |code| {
+        Self::wait_for(group, view, move |code| {
             if code == Some(i32::from(Exit::Interrupted.code())) {
                 let _ = kill_process(getpid(), Signal::INT);
             }
@@ -66,14 +68,18 @@ impl Guest {
             .stderr(if quiet { Stdio::null() } else { Stdio::inherit() })
             .spawn()
             .context("the server for Foxglove")?;
-        Self::wait_for(server, |_| ())
+        Self::wait_for(group, server, |_| ())
     }
 
-    fn wait_for(mut child: Child, then: impl FnOnce(Option<i32>) + Send + 'static) -> anyhow::Result<Self> {
+    fn wait_for(
+        group: &str,
+        mut child: Child,
+        then: impl FnOnce(Option<i32>) + Send + 'static,
+    ) -> anyhow::Result<Self> {
         let pid = i32::try_from(child.id()).ok().and_then(Pid::from_raw);
         let wait = move || then(child.wait().ok().and_then(|status| status.code()));
         let waiting = std::thread::Builder::new().name("guest".to_owned()).spawn(wait)?;
-        Ok(Self { pid, waiting })
+        Ok(Self { group: group.to_owned(), pid, waiting })
     }
 
     /// Waits until it has left by itself, for a while.
@@ -99,6 +105,8 @@ impl Drop for Guest {
                 self.left_within(LEAVE_NS / 5);
             }
         }
+        // One that had to be killed may have been the last member.
+        let _ = sweep_if_dead(&self.group);
     }
 }
 

@@ -15,6 +15,7 @@ pub mod exit;
 pub mod fault;
 pub mod guests;
 pub mod inprocess;
+pub mod keeper;
 pub mod model;
 pub mod pages;
 pub mod processes;

@@ -5,8 +5,13 @@ use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 use loopbound_shared::cast;
+use loopbound_shared::group::Group;
 use loopbound_shared::law::LawKind;
 use loopbound_shared::scenario::{Restart, Role, Scenario};
+
+/// The variable by which everything that is started for a run can be told from all else: it holds the run's identity,
+/// and is inherited.
+pub const RUN_VARIABLE: &str = "LOOPBOUND_RUN";
 
 /// One process of a group.
 #[derive(Clone, Debug, PartialEq)]
@@ -94,7 +99,7 @@ impl Process {
     ///
     /// # Errors
     /// If this executable can't be found, or the log can't be shared.
-    pub fn command(&self, group: &str, log: std::fs::File) -> std::io::Result<Command> {
+    pub fn command(&self, group: &Group, log: std::fs::File) -> std::io::Result<Command> {
         use std::os::unix::process::CommandExt as _;
         let program = match &self.exe {
             Some(exe) => exe.clone(),
@@ -102,7 +107,8 @@ impl Process {
         };
         let mut command = Command::new(program);
         command
-            .args(self.arguments(group, std::process::id()))
+            .args(self.arguments(group.name(), std::process::id()))
+            .env(RUN_VARIABLE, group.run_id().to_string())
             .stdin(Stdio::null())
             .stdout(log.try_clone()?)
             .stderr(log)

@@ -8,6 +8,7 @@ use clap::Args;
 use loopbound_monitor::Summary;
 use loopbound_monitor::live::Address;
 use loopbound_monitor::verdict::expectations;
+use loopbound_shared::realtime::die_with_parent;
 use loopbound_shared::say;
 use loopbound_shared::scenario::{ExpectSection, Scenario};
 use serde_json::Value;
@@ -50,6 +51,9 @@ pub struct RunArgs {
     /// port 8765.
     #[arg(long, value_name = "ADDR")]
     pub foxglove: Option<Address>,
+    /// The study that this run is a part of: the run ends when it does.
+    #[arg(long, hide = true)]
+    pub parent: Option<u32>,
     /// No progress, no notes and no report: only files, the exit code and errors.
     #[arg(long, short)]
     pub quiet: bool,
@@ -64,6 +68,9 @@ pub fn run(args: &RunArgs) -> anyhow::Result<Exit> {
     let asked = args.out.as_deref().map(|folder| Asked::for_run(folder, &scenario)).transpose()?;
     // From here on a signal ends the group in order.
     let stop = Stop::install().context("signals")?;
+    if let Some(parent) = args.parent {
+        die_with_parent(parent)?;
+    }
     let options = Options {
         group: args.group.clone().unwrap_or_else(|| format!("lb-{}", std::process::id())),
         progress: progress(args, &scenario).context("progress")?,

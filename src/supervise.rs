@@ -8,6 +8,7 @@ mod child;
 mod control;
 mod ending;
 mod faults;
+mod keeper;
 mod prolong;
 mod record;
 mod roster;
@@ -42,6 +43,7 @@ use child::Child;
 use control::Control;
 pub use control::{Answer, FILE as CONTROL_FILE, FaultReport, FaultRequest, Request, SwapReport, SwapRequest, connect};
 use faults::Hanging;
+use keeper::Keeper;
 use record::privileges;
 pub use record::{Death, ProcessRecord, Record};
 use roster::RosterFile;
@@ -107,6 +109,8 @@ enum End {
 /// The group as its supervisor holds it. Fields are dropped in this order: children first, the group's lock last.
 struct Supervisor<'a> {
     children: Vec<Child>,
+    /// Ends what is left of the children.
+    keeper: Keeper,
     scenario: &'a Scenario,
     options: &'a Options<'a>,
     commands: CommandClient,
@@ -118,8 +122,8 @@ struct Supervisor<'a> {
     /// Lockstep: who has answered which tick, to know whom the plant waits for.
     torques: Option<Subscriber<Torque>>,
     answered: Vec<(u32, u64)>,
-    /// The tick for whose standing still the reference was held to be the cause.
-    suspected_in: Option<u64>,
+    /// The last tick whose state the plant has published.
+    opened: Option<u64>,
     /// The first tick that the plant does not run any more.
     stop_tick: u64,
     due: VecDeque<Due>,
@@ -187,6 +191,7 @@ impl<'a> Supervisor<'a> {
         let lockstep = scenario.loop_.mode == Mode::Lockstep;
         Ok(Self {
             children: Vec::new(),
+            keeper: Keeper::start(&group).context("the keeper")?,
             scenario,
             options,
             commands: node.command_client()?,
@@ -196,7 +201,7 @@ impl<'a> Supervisor<'a> {
             newest: None,
             torques: lockstep.then(|| node.subscriber(1)).transpose()?.map(Subscriber::uncounted),
             answered: Vec::new(),
-            suspected_in: None,
+            opened: None,
             stop_tick: scenario.loop_.ticks(),
             due: VecDeque::new(),
             retirements: Vec::new(),
@@ -304,6 +309,7 @@ impl<'a> Supervisor<'a> {
                 return end;
             }
             self.start_due();
+            self.keeper.ensure(&self.group);
             self.serve_clients();
             self.retire_due();
             self.clean_up_now_and_then();
@@ -340,7 +346,9 @@ impl<'a> Supervisor<'a> {
                 self.admit(pid);
             }
         }
-        if let Some(state) = self.states.latest()
+        let state = self.states.latest();
+        self.opened = state.map(|state| state.tick).or(self.opened);
+        if let Some(state) = state
             && state.active != self.active
             && self.active != 0
             && state.active != 0
@@ -443,40 +451,6 @@ impl<'a> Supervisor<'a> {
     fn grant_all_credit(&self) {
         self.block.pace().credit.store(u64::MAX, SeqCst);
         self.block.ring(Bell::Pace);
-    }
-
-    /// The plant's tick has stood for two seconds: kills whom it waits for, by evidence first, else by elimination.
-    fn kill_who_is_silent(&mut self) {
-        let tick = self.tick();
-        let mut silent = self.silent_in(tick);
-        if silent.is_empty() {
-            // A reference that was killed for this very tick was not the cause.
-            let role = if self.suspected_in == Some(tick) { Role::Plant } else { Role::Reference };
-            self.suspected_in = Some(tick);
-            silent = self.living(role);
-        }
-        for index in silent {
-            self.children[index].kill();
-            self.note(&format!("{} is silent in tick {tick}: killed", self.children[index].process.name()));
-        }
-    }
-
-    /// Those of whom it is known that they don't do their part in `tick`.
-    fn silent_in(&self, tick: u64) -> Vec<usize> {
-        // In realtime the plant waits for nobody; in lockstep it answers commands while it waits.
-        let status = Command { kind: CommandKind::SwapStatus.code(), ..Command::zeroed() };
-        if !self.lockstep() || self.commands.ask(status, ANSWER_NS).is_err() {
-            return self.living(Role::Plant);
-        }
-        let mut silent = self.living(Role::Controller);
-        silent.retain(|&index| {
-            let id = self.children[index].process.id;
-            !self.answered.iter().any(|(writer, last)| *writer == id && *last >= tick)
-        });
-        if silent.is_empty() && self.block.pace().credit.load(SeqCst) <= tick {
-            silent = self.living(Role::Monitor);
-        }
-        silent
     }
 
     fn living(&self, role: Role) -> Vec<usize> {

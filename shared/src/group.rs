@@ -303,6 +303,16 @@ impl Group {
         sweep::close_objects(&self.prefix());
     }
 
+    /// Leaves as the last one, if the others leave within `patience_ns`: one that was killed holds on until the kernel has
+    /// taken it down.
+    pub fn leave_last(self, patience_ns: u64) {
+        let until_ns = crate::clock::now_ns().saturating_add(patience_ns);
+        while flock(&self.alive, FlockOperation::NonBlockingLockExclusive).is_err() && crate::clock::now_ns() < until_ns
+        {
+            crate::clock::sleep_ns(2_000_000);
+        }
+    }
+
     fn sweep_contents(&self) {
         sweep::objects(&object_prefix(self.folder.path()));
         sweep::files(&self.folder, ALIVE_FILE);
@@ -364,6 +374,17 @@ pub fn list() -> Result<Vec<Found>, GroupError> {
         .collect();
     found.sort_by(|a, b| a.name.cmp(&b.name));
     Ok(found)
+}
+
+/// Sweeps group `name` if no member of it lives.
+///
+/// # Errors
+/// If the runtime directory has no valid name, or is not this user's.
+pub fn sweep_if_dead(name: &str) -> Result<(), GroupError> {
+    if list()?.iter().any(|found| found.name == name && !found.alive) {
+        drop(Group::create(name)?);
+    }
+    Ok(())
 }
 
 /// Sweeps every group of this user that has no living member; returns their names.

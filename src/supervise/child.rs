@@ -32,7 +32,7 @@ pub(super) struct Child {
     /// Whether the plant was told of this controller.
     pub(super) member: bool,
     /// Its end was asked for: it is no death.
-    pub(super) retiring: bool,
+    pub(super) retiring_since_ns: Option<u64>,
     /// Whether its end has been dealt with.
     pub(super) settled: bool,
     child: std::process::Child,
@@ -47,7 +47,7 @@ impl Child {
     pub(super) fn start(process: Process, group: &Group, restarts: u32) -> anyhow::Result<Self> {
         let log = format!("{}.log", process.file_stem());
         let (file, log) = (group.append(&log)?, group.file(&log));
-        let mut command = process.command(group.name(), file).context("starting a process")?;
+        let mut command = process.command(group, file).context("starting a process")?;
         let child = command.spawn().map_err(|e| match &process.exe {
             Some(exe) => Failure::usage(format!("{}: {} can't be started: {e}", process.name(), exe.display())).into(),
             None => anyhow::Error::new(e).context(format!("{} can't be started", process.name())),
@@ -62,7 +62,7 @@ impl Child {
             restarts,
             replaces: None,
             member: false,
-            retiring: false,
+            retiring_since_ns: None,
             settled: false,
             child,
             handle,
@@ -70,8 +70,24 @@ impl Child {
         })
     }
 
+    /// The process that does its work: behind a wrapper, such as a shell script, it is another than the one started.
+    pub(super) fn worker_pid(&self) -> u32 {
+        self.announce.as_ref().map_or(self.pid, |announce| announce.pid)
+    }
+
+    /// Whether an announcement is this child's own, or of what a program of the user's has started in its place.
+    pub(super) fn is_announced_by(&self, announce: &Announce) -> bool {
+        let role = loopbound_shared::event::Role::from(self.process.role).code();
+        (announce.role, announce.id) == (role, self.process.id)
+            && (announce.pid == self.pid || self.process.exe.is_some())
+    }
+
     /// Looks whether it has ended, and reaps it if so.
     pub(super) fn reap(&mut self) -> bool {
+        // Before it is reaped, while its number can't mean another group: what a wrapper has left in its place.
+        if self.ended.is_none() && self.handle.as_ref().is_some_and(|handle| handle.wait_end(0).unwrap_or(false)) {
+            self.signal(Signal::TERM);
+        }
         // An error means that it is no child of ours any more: nothing is left to wait for.
         if self.ended.is_none()
             && let Some(status) = self.child.try_wait().unwrap_or_else(|_| Some(ExitStatus::from_raw(0)))
@@ -79,12 +95,6 @@ impl Child {
             self.ended = Some((status, clock::now_ns()));
         }
         self.ended.is_some()
-    }
-
-    /// Whether an announcement is this child's own.
-    pub(super) fn is_announced_by(&self, announce: &Announce) -> bool {
-        let role = loopbound_shared::event::Role::from(self.process.role).code();
-        (announce.role, announce.id, announce.pid) == (role, self.process.id, self.pid)
     }
 
     pub(super) fn lives(&self) -> bool {
@@ -123,12 +133,14 @@ impl Child {
         if !self.lives() {
             return;
         }
-        // It may end between the look and the signal; until it is reaped its process id can't mean another.
-        let _ = match (&self.handle, i32::try_from(self.pid).ok().and_then(rustix::process::Pid::from_raw)) {
-            (Some(handle), _) => handle.signal(signal),
-            (None, Some(pid)) => rustix::process::kill_process(pid, signal).map_err(Into::into),
-            (None, None) => Ok(()),
-        };
+        // It leads a process group of its own: a wrapper and the program behind it hear the same. It may end between the look
+        // and the signal; until it is reaped its number can't mean another group.
+        if let Some(pid) = i32::try_from(self.pid).ok().and_then(rustix::process::Pid::from_raw) {
+            let heard = rustix::process::kill_process_group(pid, signal).is_ok();
+            if !heard && let Some(handle) = &self.handle {
+                let _ = handle.signal(signal);
+            }
+        }
     }
 
     /// What it said, by lines; the last ones if it said much.

@@ -18,7 +18,7 @@ const PLANT_NS: u64 = 1_000_000_000;
 /// Time for the monitor to take the last records and write its files.
 const SUMMARY_NS: u64 = 5_000_000_000;
 /// Time for everyone to end by themselves, and again after SIGTERM.
-const LEAVE_NS: u64 = 1_000_000_000;
+pub(super) const LEAVE_NS: u64 = 1_000_000_000;
 
 impl Supervisor<'_> {
     /// Ends everyone, reaps everyone, and collects what is known.
@@ -26,6 +26,7 @@ impl Supervisor<'_> {
     /// # Errors
     /// Why the group did not start.
     pub(super) fn finish(mut self, end: End) -> anyhow::Result<Outcome> {
+        self.keeper.renew(&self.group);
         if let End::NotStarted(failure) = end {
             self.end_everyone();
             return Err(failure.into());
@@ -79,7 +80,9 @@ impl Supervisor<'_> {
     fn record_last_deaths(&mut self) {
         let tick = self.tick();
         let in_order = |c: &Child| c.ended.is_some_and(|(status, _)| status.success() || status.signal() == Some(15));
-        let last = self.children.iter().filter(|c| !c.settled && !in_order(c));
+        // Whom nobody needs any more, or not yet, is no loss however it ends.
+        let needed = |c: &&Child| c.retiring_since_ns.is_none() && (c.member || c.process.role != Role::Controller);
+        let last = self.children.iter().filter(needed).filter(|c| !c.settled && !in_order(c));
         self.deaths.extend(last.map(|child| Death {
             role: child.process.role.to_string(),
             id: child.process.id,

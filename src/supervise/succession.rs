@@ -10,6 +10,7 @@ use loopbound_shared::scenario::Role;
 
 use super::Supervisor;
 use super::child::Child;
+use super::ending::LEAVE_NS;
 use crate::processes::Process;
 
 /// Time between two looks whether a dismissed controller has lost its authority.
@@ -143,17 +144,19 @@ impl Supervisor<'_> {
                     self.note(&format!("controller {id}: {why}"));
                 }
             }
-            self.children[index].retiring = true;
+            self.children[index].retiring_since_ns = Some(now_ns);
             // What a process does to end takes milliseconds: not above those who still control. Without the privilege it
             // has no real-time priority to lose.
-            let _ = set_priority(self.children[index].pid, 0);
+            let _ = set_priority(self.children[index].worker_pid(), 0);
             self.children[index].terminate();
         }
     }
 
-    /// Forgets those that have gone as they were asked to.
+    /// Forgets those that have gone as they were asked to, and ends those that don't heed it.
     pub(super) fn bury_retired(&mut self) {
-        while let Some(index) = self.children.iter().position(|c| c.retiring && !c.lives()) {
+        let over_ns = clock::now_ns().saturating_sub(LEAVE_NS);
+        self.children.iter().filter(|c| c.retiring_since_ns.is_some_and(|ns| ns < over_ns)).for_each(Child::kill);
+        while let Some(index) = self.children.iter().position(|c| c.retiring_since_ns.is_some() && !c.lives()) {
             let child = self.children.remove(index);
             child.remove_log();
             self.clean_up_the_dead();
@@ -166,8 +169,8 @@ impl Supervisor<'_> {
         for child in self.controllers().filter(|c| c.ready() && c.member) {
             let wanted = self.scenario.realtime.priority + u32::from(child.process.id != self.active);
             // Only who has real time by its own start-up; a refusal costs a failover's margin, not the run.
-            if priority(child.pid).is_ok_and(|now| now != 0 && now != wanted) {
-                let _ = set_priority(child.pid, wanted);
+            if priority(child.worker_pid()).is_ok_and(|now| now != 0 && now != wanted) {
+                let _ = set_priority(child.worker_pid(), wanted);
             }
         }
     }

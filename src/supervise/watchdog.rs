@@ -2,6 +2,14 @@
 //!
 //! In lockstep nobody else can: the plant waits for every member, and only the supervisor may decide that one is dead.
 
+use std::sync::atomic::Ordering::SeqCst;
+
+use loopbound_shared::event::CommandKind;
+use loopbound_shared::sample::Command;
+use loopbound_shared::scenario::Role;
+
+use super::{ANSWER_NS, Supervisor};
+
 /// Wall time without a tick after which somebody is held to be dead. The same for all scenarios: a member that takes
 /// longer for one torque is of no use at any rate.
 pub(super) const STALL_NS: u64 = 2_000_000_000;
@@ -30,6 +38,44 @@ impl Watchdog {
             self.since_ns = now_ns;
         }
         stalled
+    }
+}
+
+impl Supervisor<'_> {
+    /// The plant's tick has stood for two seconds: kills whom it waits for.
+    pub(super) fn kill_who_is_silent(&mut self) {
+        let tick = self.tick();
+        let silent = self.silent_in(tick);
+        if self.tick() != tick {
+            // Whoever it was does its part again.
+            return;
+        }
+        for index in silent {
+            self.children[index].kill();
+            self.note(&format!("{} is silent in tick {tick}: killed", self.children[index].process.name()));
+        }
+    }
+
+    /// Those who don't do their part in `tick`, by the order in which the plant waits for them.
+    fn silent_in(&mut self, tick: u64) -> Vec<usize> {
+        // In realtime the plant waits for nobody; in lockstep it answers commands while it waits.
+        let status = Command { kind: CommandKind::SwapStatus.code(), ..Command::zeroed() };
+        if !self.lockstep() || self.commands.ask(status, ANSWER_NS).is_err() {
+            return self.living(Role::Plant);
+        }
+        self.listen();
+        // Before it samples it needs room at the monitor, and the setpoint of the very tick.
+        if self.opened.is_none_or(|opened| opened < tick) {
+            let no_room = self.block.pace().credit.load(SeqCst) <= tick;
+            return self.living(if no_room { Role::Monitor } else { Role::Reference });
+        }
+        let mut silent = self.living(Role::Controller);
+        silent.retain(|&index| {
+            let id = self.children[index].process.id;
+            !self.answered.iter().any(|(writer, last)| *writer == id && *last >= tick)
+        });
+        // With all that it waits for it would go on.
+        if silent.is_empty() { self.living(Role::Plant) } else { silent }
     }
 }
 

@@ -129,8 +129,9 @@ fn everyone_killed_at_once_is_cleaned_by_clean_or_by_the_next_run() {
         let case = Case::apart(&format!("all-{by_clean}"));
         let mut running = case.run("[loop]\nduration = \"1h\"\n", &[]);
         running.wait_until_active();
-        let all: Vec<u32> = running.roster().iter().filter_map(|p| p["pid"].as_u64()?.try_into().ok()).collect();
-        assert_eq!(all.len(), 5);
+        case.keeper(0);
+        let all = case.everyone();
+        assert_eq!(all.len(), 6, "the launcher, its four, and the keeper");
         // Stopped first, so that nobody is left to notice and clean while the others are being killed.
         all.iter().for_each(|pid| send(*pid, Signal::STOP));
         all.iter().for_each(|pid| send(*pid, Signal::KILL));

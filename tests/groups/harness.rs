@@ -146,6 +146,25 @@ impl Case {
         (Node::open(&group).expect("a node in the group"), group)
     }
 
+    /// Everyone who was started for this case's group, the keeper too.
+    pub(crate) fn everyone(&self) -> Vec<u32> {
+        let number = |line: &String| line.split_once(':')?.0.parse().ok();
+        processes_that_mention(&self.group).iter().filter_map(number).collect()
+    }
+
+    /// The keeper's process id, once there is one other than `but`.
+    pub(crate) fn keeper(&self, but: u32) -> u32 {
+        let mut keeper = None;
+        wait_until("there is a keeper", || {
+            let lines = processes_that_mention(&self.group);
+            let of_keeper = |line: &&String| line.contains(" keeper --group ");
+            let pids = lines.iter().filter(of_keeper).filter_map(|line| line.split_once(':')?.0.parse().ok());
+            keeper = pids.into_iter().find(|pid| *pid != but);
+            keeper.is_some()
+        });
+        keeper.expect("a process id")
+    }
+
     /// Whether any process lives that was started for this case's group.
     pub(crate) fn is_mentioned(&self) -> bool {
         !processes_that_mention(&self.group).is_empty()

@@ -15,6 +15,7 @@ mod diverged;
 mod faults;
 mod guests;
 mod impostors;
+mod keeper;
 #[cfg(feature = "foxglove")]
 mod live;
 mod lockstep;

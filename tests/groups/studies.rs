@@ -6,7 +6,7 @@ use std::path::Path;
 use rustix::process::Signal;
 use serde_json::Value;
 
-use crate::harness::{Case, Running, wait_until};
+use crate::harness::{Case, Running, processes_that_mention, wait_until};
 
 /// The study of one rate with its results in the folder `out` of the test.
 fn start(case: &Case, options: &[&str]) -> Running {
@@ -115,6 +115,23 @@ fn an_interrupted_study_ends_its_group_and_keeps_what_was_measured() {
     let runs: u64 = report["rows"].as_array().expect("rows").iter().filter_map(|row| row["runs"].as_u64()).sum();
     assert!((1..160).contains(&runs), "{runs} runs");
     assert_nothing_left(&case, study);
+}
+
+#[test]
+fn a_killed_study_takes_its_run_along() {
+    let case = Case::apart("killed-study");
+    let mut running = start(&case, &["--rounds", "40", "--duration", "20s", "--wakeups", "block"]);
+    let study = running.pid();
+    let group = format!("study-load-{study}");
+    let roster = case.runtime_folder().join(&group).join("processes.json");
+    wait_until("a run of it runs", || {
+        assert!(running.runs(), "{}", running.said());
+        std::fs::read_to_string(&roster).is_ok_and(|text| text.contains("active"))
+    });
+    running.signal(Signal::KILL);
+    running.wait();
+    wait_until("its run has ended", || processes_that_mention(&group).is_empty());
+    case.assert_nothing_left_of(&group);
 }
 
 #[test]

@@ -9,23 +9,53 @@ use rustix::process::{
     Pid, PidfdFlags, Signal, getppid, pidfd_open, pidfd_send_signal, set_parent_process_death_signal,
 };
 
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+
 use super::system;
 use crate::clock::{NS_PER_S, now_ns};
 
+/// Processes between the one that passed its id down and this one: a wrapper, and a wrapper around that.
+const WRAPPERS_MAX: usize = 32;
+
 /// Has the kernel send `SIGTERM` to this process when the thread that spawned it ends.
 ///
-/// To be called first thing in a child, with the process id that the parent has passed down.
+/// To be called first thing in a child, with the process id that the parent has passed down. The parent may have started
+/// it by way of others, such as a shell script: then the signal comes with the end of the last of those, and the end of
+/// the parent reaches this process by whoever ends those.
 ///
 /// # Errors
 /// `NotFound` if the parent has died already, before the kernel could be asked: the child should end at once.
 pub fn die_with_parent(expected_parent_pid: u32) -> io::Result<()> {
     set_parent_process_death_signal(Some(Signal::TERM))?;
     // The order matters: a parent that dies after the request is signalled, one that died before shows here.
-    let parent_pid = getppid().map_or(0, |pid| pid.as_raw_nonzero().get().unsigned_abs());
-    if parent_pid == expected_parent_pid {
-        Ok(())
-    } else {
-        Err(io::Error::new(io::ErrorKind::NotFound, format!("the parent process {expected_parent_pid} has ended")))
+    let mut ancestor = getppid().map_or(0, |pid| pid.as_raw_nonzero().get().unsigned_abs());
+    for _ in 0..WRAPPERS_MAX {
+        if ancestor == expected_parent_pid {
+            return Ok(());
+        }
+        match parent_of(ancestor) {
+            Some(parent) => ancestor = parent,
+            None => break,
+        }
+    }
+    Err(io::Error::new(io::ErrorKind::NotFound, format!("the parent process {expected_parent_pid} has ended")))
+}
+
+/// The parent of a process; none for the first one, or one that has ended.
+fn parent_of(pid: u32) -> Option<u32> {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+    // The name of the program, in brackets, may have anything in it.
+    let mut words = stat.rsplit_once(')')?.1.split_ascii_whitespace();
+    words.nth(1)?.parse().ok().filter(|parent| *parent != 0)
+}
+
+/// Lets this process run on all its cores but `cores`, if there are others.
+pub fn keep_off_cores(cores: &[usize]) {
+    let Ok(mut allowed) = sched_getaffinity(None) else { return };
+    cores.iter().filter(|core| **core < CpuSet::MAX_CPU).for_each(|core| allowed.unset(*core));
+    if allowed.count() > 0 {
+        // A refusal costs nothing that matters.
+        let _ = sched_setaffinity(None, &allowed);
     }
 }
 
@@ -206,6 +236,11 @@ mod tests {
                 crate::say::out!("pid={}", std::process::id());
             }
             Ok("parent") => crate::say::out!("pid={}", said_pid(&mut helper("child"))),
+            Ok("wrapped") => {
+                let parent = std::env::var("LOOPBOUND_TEST_GRANDPARENT").unwrap().parse().unwrap();
+                die_with_parent(parent).unwrap();
+                crate::say::out!("pid={}", std::process::id());
+            }
             _ => return,
         }
         crate::clock::sleep_ns(2 * LONG_NS);
@@ -222,11 +257,26 @@ mod tests {
     }
 
     #[test]
+    fn a_child_behind_a_shell_script_knows_its_parent_and_ends_with_the_script() {
+        let mut command = Command::new("sh");
+        let name = "realtime::process::tests::helper_of_the_test_of_parents";
+        let own = std::env::current_exe().unwrap();
+        command.args(["-c", "\"$@\"; true", "sh"]).arg(own).args(["--exact", name, "--ignored", "--nocapture"]);
+        command.env("LOOPBOUND_TEST_PART", "wrapped");
+        command.env("LOOPBOUND_TEST_GRANDPARENT", std::process::id().to_string());
+        let mut script = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let child = ProcessHandle::open(said_pid(&mut script)).unwrap();
+        assert!(!child.wait_end(1_000_000).unwrap());
+        script.kill().unwrap();
+        script.wait().unwrap();
+        assert!(child.wait_end(LONG_NS).unwrap());
+    }
+
+    #[test]
     fn a_child_whose_parent_is_not_the_expected_one_is_told() {
         // The request follows the calling thread, which ends with this test, and touches no other.
-        let own_parent = getppid().unwrap().as_raw_nonzero().get().unsigned_abs();
         std::thread::spawn(move || {
-            let error = die_with_parent(own_parent + 1).unwrap_err();
+            let error = die_with_parent(std::process::id()).unwrap_err();
             assert_eq!(error.kind(), io::ErrorKind::NotFound);
             set_parent_process_death_signal(None).unwrap();
         })

@@ -108,7 +108,8 @@ impl Runner<'_> {
         let group = format!("study-load-{}", std::process::id());
         let roster = file_of(&group, ROSTER_FILE).map_err(|e| RunError::Failed(e.to_string()))?;
         let mut command = Command::new(std::env::current_exe()?);
-        command.arg("run").arg(file).arg("--out").arg(out).args(["--quiet", "--group", &group]);
+        let own = std::process::id().to_string();
+        command.arg("run").arg(file).arg("--out").arg(out).args(["--quiet", "--group", &group, "--parent", &own]);
         // A terminal's Ctrl-C reaches the study alone, which then ends the run.
         command.process_group(0).stdin(Stdio::null()).stdout(Stdio::null()).stderr(File::create(&said)?);
         let mut launcher = Launcher(command.spawn()?);
