@@ -37,7 +37,7 @@ pub struct BoundArgs {
 /// # Errors
 /// If the scenario is refused or describes no system.
 pub fn run(args: &BoundArgs) -> anyhow::Result<Exit> {
-    let scenario = args.scenario.load()?;
+    let scenario = args.scenario.load_system(false)?;
     let latency_ns = args.latency.unwrap_or(scenario.plant.actuation_delay.ns());
     let latency_s = latency_ns as f64 * 1e-9;
     let (certification, sampling) =

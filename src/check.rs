@@ -11,6 +11,7 @@ use loopbound_monitor::summary::Verdict;
 use loopbound_monitor::verdict::blocks::{self, Blocks};
 use loopbound_monitor::verdict::{expectations, judge_summary, reports};
 use loopbound_shared::headline::Headline;
+use loopbound_shared::input;
 use loopbound_shared::say;
 use loopbound_shared::scenario::ExpectSection;
 
@@ -36,7 +37,8 @@ pub struct CheckArgs {
 
 pub(crate) fn read(folder: &Path, name: &str) -> Result<String, Failure> {
     let path = folder.join(name);
-    std::fs::read_to_string(&path).map_err(|e| Failure::usage(format!("{}: {e}", path.display())))
+    input::read_file_text(&path, input::FIGURES_BYTES_MAX)
+        .map_err(|e| Failure::usage(format!("{}: {e}", path.display())))
 }
 
 /// The blocks of a recorded run.
@@ -66,7 +68,8 @@ pub fn check(args: &CheckArgs) -> anyhow::Result<Exit> {
         .map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
     let section = match &args.expect {
         Some(path) => {
-            let text = std::fs::read_to_string(path).map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
+            let text = input::read_text(path, input::SCENARIO_BYTES_MAX)
+                .map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
             ExpectSection::from_toml(&text, &path.display().to_string())?
         }
         None => recorded_scenario(&read(&args.run, known::SCENARIO)?, &args.run)?.expect,

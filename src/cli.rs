@@ -8,13 +8,16 @@ use clap::{Args, CommandFactory as _, Parser, Subcommand};
 use clap_complete::Shell;
 use loopbound_monitor::live::Address;
 use loopbound_shared::law::LawKind;
+use loopbound_shared::quote;
 use loopbound_shared::role::RoleArgs;
 use loopbound_shared::say;
 use loopbound_shared::scenario::{Mode, Scenario, Wakeup, parse_duration, parse_rate};
+use loopbound_shared::system;
 
 use crate::exit::Exit;
 use crate::{
-    bound, check, clean, compare, doctor, fault, keeper, model, pages, ps, replay, report, roles, run, study, swap,
+    bound, check, clean, compare, doctor, fault, keeper, model, pages, prepare, ps, replay, report, roles, run, study,
+    swap,
 };
 
 /// kHz control loops split across processes over shared memory: latency measured to the nanosecond, and a Lyapunov
@@ -300,11 +303,20 @@ impl ScenarioArgs {
     /// # Errors
     /// If the file can't be read, or a key or value is refused.
     pub fn load(&self) -> anyhow::Result<Scenario> {
-        let scenario = match &self.scenario {
-            Some(path) => Scenario::load(path)?,
-            None => Scenario::default(),
-        };
-        Ok(scenario.with_sets(&self.settings())?)
+        Ok(Scenario::read(self.scenario.as_deref(), &self.settings())?.0)
+    }
+
+    /// The same, if all that it describes can be built; says what is probably not what was meant.
+    ///
+    /// # Errors
+    /// Those of [`Self::load`], and whatever would keep a process of the scenario from starting.
+    pub fn load_system(&self, quiet: bool) -> anyhow::Result<Scenario> {
+        let (scenario, origin) = Scenario::read(self.scenario.as_deref(), &self.settings())?;
+        prepare::system_of(&scenario).map_err(|error| origin.locate(error))?;
+        for line in if quiet { Vec::new() } else { system::remarks(&scenario)? } {
+            say::err!("loopbound: {}", quote::lines(&line));
+        }
+        Ok(scenario)
     }
 }
 
@@ -317,7 +329,7 @@ pub fn main() -> ExitCode {
     };
     let printing = prints_its_result(&cli.command);
     let exit = dispatch(cli.command).unwrap_or_else(|error| {
-        say::err!("loopbound: {}", one_line(&error));
+        say::err!("loopbound: {}", quote::lines(&one_line(&error)));
         Exit::of(&error)
     });
     after_printing(exit, printing).into()
@@ -327,7 +339,11 @@ pub fn main() -> ExitCode {
 fn not_parsed(error: &clap::Error) -> Exit {
     let text = error.render();
     if error.use_stderr() {
-        let text = if say::in_colour(say::err_to_terminal()) { text.ansi().to_string() } else { text.to_string() };
+        // It quotes what was written, which must not command the terminal: then there are no colours either.
+        let plain =
+            |argument: &std::ffi::OsStr| quote::lines(&argument.to_string_lossy()) == argument.to_string_lossy();
+        let colour = say::in_colour(say::err_to_terminal()) && std::env::args_os().all(|argument| plain(&argument));
+        let text = if colour { text.ansi().to_string() } else { quote::lines(&text.to_string()) };
         say::err!("{}", text.trim_end_matches('\n'));
         return Exit::Usage;
     }

@@ -18,6 +18,7 @@ pub mod inprocess;
 pub mod keeper;
 pub mod model;
 pub mod pages;
+pub mod prepare;
 pub mod processes;
 pub mod progress;
 pub mod ps;

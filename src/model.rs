@@ -7,6 +7,8 @@ use std::io::{BufRead, BufWriter, Write};
 use anyhow::Context as _;
 use clap::Args;
 use loopbound_shared::chain::{Chain, LINKS_MAX, LinkParameters, Matrix, Vector};
+use loopbound_shared::input::{LINE_BYTES_MAX, Line, next_line};
+use loopbound_shared::quote;
 use loopbound_shared::say;
 use loopbound_shared::scenario::{ChainSpec, Scenario};
 use loopbound_shared::with_links;
@@ -88,16 +90,18 @@ pub fn run(args: &ModelArgs) -> anyhow::Result<Exit> {
 }
 
 /// Answers each line, good or bad; one that can't be answered doesn't stop the others.
-fn answer_all(scenario: &Scenario, input: impl BufRead, output: &mut impl Write) -> anyhow::Result<Exit> {
+fn answer_all(scenario: &Scenario, mut input: impl BufRead, output: &mut impl Write) -> anyhow::Result<Exit> {
     let default = scenario.plant_chain();
     let mut exit = Exit::Held;
     // Bytes, not text: a line that is not UTF-8 is one bad line and not the end of the input.
-    for (index, line) in input.split(b'\n').enumerate() {
-        let line = line.context("standard input")?;
-        if line.trim_ascii().is_empty() {
-            continue;
-        }
-        let text = match answer(&default, &line) {
+    for index in 0.. {
+        let Some(line) = next_line(&mut input).context("standard input")? else { break };
+        let asked = match &line {
+            Line::Whole(line) if line.trim_ascii().is_empty() => continue,
+            Line::Whole(line) => answer(&default, line),
+            Line::TooLong => Err(format!("longer than {LINE_BYTES_MAX} bytes")),
+        };
+        let text = match asked {
             Ok(answer) => serde_json::to_string(&answer)?,
             Err(why) => {
                 exit = Exit::Usage;
@@ -114,7 +118,7 @@ fn answer_all(scenario: &Scenario, input: impl BufRead, output: &mut impl Write)
 }
 
 fn answer(default: &ChainSpec, line: &[u8]) -> Result<Answer, String> {
-    let question: Question = serde_json::from_slice(line).map_err(|e| e.to_string())?;
+    let question: Question = serde_json::from_slice(line).map_err(|e| quote::lines(&e.to_string()))?;
     let links = question.q.len();
     if !(1..=LINKS_MAX).contains(&links) {
         return Err(format!("q has {links} entries, allowed: 1 to {LINKS_MAX}"));
@@ -265,6 +269,8 @@ mod tests {
             r#"{"q":[0],"chain":{"mass":[1,1],"length":[1]}}"#,
             r#"{"q":[0],"chain":{"a":[[0]],"b":[1]}}"#,
             r#"{"q":[0,0],"chain":{"a":[[1,2],[3,1]],"b":[1,1]}}"#,
+            &"[".repeat(LINE_BYTES_MAX),
+            &" ".repeat(LINE_BYTES_MAX + 1),
         ] {
             let (exit, answers) = ask(&format!("{bad}\n\n{good}\n"));
             assert_eq!(exit, Exit::Usage, "{bad}");

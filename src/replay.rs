@@ -18,6 +18,7 @@ use loopbound_monitor::verdict::judge_summary;
 use loopbound_monitor::{Config, Summary, Tracker};
 use loopbound_shared::event::Role;
 use loopbound_shared::headline::Headline;
+use loopbound_shared::input;
 use loopbound_shared::law::LawKind;
 use loopbound_shared::sample::{Announce, SEGMENTS_MAX, TickRecord};
 use loopbound_shared::say;
@@ -151,7 +152,7 @@ fn verdict_recorded(run: &Path, whole: bool) -> Result<Option<String>, Failure> 
     if !path.exists() {
         return Ok(None);
     }
-    let text = std::fs::read(&path).map_err(|error| error.to_string());
+    let text = input::read_file(&path, input::SUMMARY_BYTES_MAX).map_err(|error| error.to_string());
     match text.and_then(|text| serde_json::from_slice::<Summary>(&text).map_err(|error| error.to_string())) {
         Ok(summary) => Ok(Some(summary.verdict.status)),
         Err(error) if whole => Err(Failure::usage(format!("{}: {error}", path.display()))),

@@ -8,6 +8,7 @@ use clap::Args;
 use loopbound_monitor::Summary;
 use loopbound_monitor::live::Address;
 use loopbound_monitor::verdict::expectations;
+use loopbound_shared::input;
 use loopbound_shared::realtime::die_with_parent;
 use loopbound_shared::say;
 use loopbound_shared::scenario::{ExpectSection, Scenario};
@@ -89,9 +90,10 @@ pub fn run(args: &RunArgs) -> anyhow::Result<Exit> {
 }
 
 fn scenario(args: &RunArgs) -> anyhow::Result<Scenario> {
-    let mut scenario = args.scenario.load()?;
+    let mut scenario = args.scenario.load_system(args.quiet)?;
     if let Some(path) = &args.expect {
-        let text = std::fs::read_to_string(path).map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
+        let text = input::read_text(path, input::SCENARIO_BYTES_MAX)
+            .map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
         scenario.expect = ExpectSection::from_toml(&text, &path.display().to_string())?;
     }
     expectations::validate(&scenario.expect).map_err(|e| Failure::usage(format!("expect: {e}")))?;

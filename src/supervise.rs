@@ -35,6 +35,7 @@ use loopbound_shared::scenario::{Mode, Restart, Role, Scenario};
 use loopbound_shared::topics::Topic as _;
 
 use crate::exit::{Exit, Failure};
+use crate::prepare;
 use crate::processes::{self, Process};
 use crate::progress::Progress;
 use crate::results::Asked;
@@ -185,7 +186,7 @@ pub fn supervise(scenario: &Scenario, options: &Options<'_>, asked: Option<Asked
 impl<'a> Supervisor<'a> {
     fn create(scenario: &'a Scenario, options: &'a Options<'a>) -> anyhow::Result<Self> {
         let group = Group::create(&options.group)?;
-        group.write("scenario.toml", scenario.to_toml()?.as_bytes())?;
+        prepare::write_scenario(&group, scenario)?;
         let block = ControlBlock::create(&group.file("bell")).context("the group's control block")?;
         let node = Node::open(&group)?;
         let lockstep = scenario.loop_.mode == Mode::Lockstep;

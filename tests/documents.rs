@@ -146,6 +146,37 @@ fn keys_of_the_document() -> Keys {
     keys
 }
 
+/// The code of all crates but for the files that only declare, check and write out the keys, as one text.
+fn code_that_reads_keys() -> String {
+    let mut open: Vec<PathBuf> = CRATES.iter().map(|source| root().join(source)).collect();
+    let mut code = String::new();
+    while let Some(folder) = open.pop() {
+        for path in entries(&folder) {
+            let declares = path.ends_with("scenario/resolve.rs") || path.ends_with("scenario/validate.rs");
+            if path.is_dir() && !path.ends_with("scenario/validate") {
+                open.push(path);
+            } else if is_rust(&path) && !declares && !matches!(stem(&path), "tests" | "testing" | "keys") {
+                code.push_str(&read(&path));
+            }
+        }
+    }
+    code
+}
+
+#[test]
+fn every_key_of_a_scenario_is_read_by_somebody() {
+    let code = code_that_reads_keys();
+    let is_word = |c: char| c.is_alphanumeric() || c == '_';
+    for (section, key) in keys_of_the_scenario().into_keys().filter(|(section, _)| section != "[expect]") {
+        let field = if key == "for" { "for_".to_owned() } else { key.clone() };
+        let read = code.match_indices(&format!(".{field}")).any(|(at, found)| {
+            // A field, not a method or a part of a longer name.
+            !code[at + found.len()..].starts_with(|c: char| is_word(c) || c == '(')
+        });
+        assert!(read, "nobody reads {section} {key}");
+    }
+}
+
 #[test]
 fn the_reference_of_keys_has_every_key_with_its_default() {
     let mut document = keys_of_the_document();

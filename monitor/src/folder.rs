@@ -19,9 +19,9 @@ mod manifest;
 mod results;
 mod stream;
 
-use std::io::{self, Read as _};
 use std::path::Path;
 
+use loopbound_shared::input::WAYPOINTS_BYTES_MAX;
 use loopbound_shared::scenario::{Scenario, ScenarioError};
 
 pub use claim::{Begin, Claim};
@@ -29,9 +29,6 @@ pub use look::{Look, refuse_file_of_a_run};
 pub use manifest::{FILE, Kind, Manifest, Stamp, State};
 pub use results::Results;
 pub(crate) use stream::{Shared, Stream};
-
-/// A folder takes no more of waypoints, bytes.
-const WAYPOINTS_BYTES_MAX: u64 = 64 << 20;
 
 /// Why a folder can't be used: one line.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -41,11 +38,7 @@ pub struct FolderError(pub String);
 /// The scenario as the folder of its run has it: what it follows lies beside it, wherever the folder goes.
 #[must_use]
 pub fn self_contained(scenario: &Scenario) -> Scenario {
-    let mut own = scenario.clone();
-    if own.reference.file.is_some() {
-        own.reference.file = Some(known::WAYPOINTS.into());
-    }
-    own
+    scenario.with_own_waypoints()
 }
 
 /// The scenario of a recording in `folder`, with its paths as they are there.
@@ -54,9 +47,7 @@ pub fn self_contained(scenario: &Scenario) -> Scenario {
 /// If the text is no scenario.
 pub fn recorded_scenario(text: &str, folder: &Path) -> Result<Scenario, ScenarioError> {
     let mut scenario = Scenario::from_toml(text, &folder.display().to_string())?;
-    if let Some(file) = scenario.reference.file.as_mut().filter(|file| file.is_relative()) {
-        *file = folder.join(&*file);
-    }
+    scenario.anchor(folder);
     Ok(scenario)
 }
 
@@ -65,17 +56,9 @@ pub fn recorded_scenario(text: &str, folder: &Path) -> Result<Scenario, Scenario
 /// # Errors
 /// If it can't be read, or is longer than any that is accepted.
 pub fn waypoints_of(scenario: &Scenario) -> Result<Option<Vec<u8>>, FolderError> {
-    let Some(path) = &scenario.reference.file else { return Ok(None) };
-    let read = || -> io::Result<Vec<u8>> {
-        let mut bytes = Vec::new();
-        std::fs::File::open(path)?.take(WAYPOINTS_BYTES_MAX + 1).read_to_end(&mut bytes)?;
-        Ok(bytes)
-    };
-    let bytes = read().map_err(|error| FolderError::of(path, error))?;
-    if bytes.len() as u64 > WAYPOINTS_BYTES_MAX {
-        return Err(FolderError::of(path, format!("waypoints of more than {} MiB", WAYPOINTS_BYTES_MAX >> 20)));
-    }
-    Ok(Some(bytes))
+    let Some(file) = &scenario.reference.file else { return Ok(None) };
+    let text = file.text(WAYPOINTS_BYTES_MAX).map_err(|error| FolderError::of(file.path(), error))?;
+    Ok(Some(text.as_bytes().to_vec()))
 }
 
 impl FolderError {

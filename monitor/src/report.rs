@@ -6,11 +6,11 @@
 mod decimate;
 mod rebuilt;
 
-use std::fs;
-use std::io::{self, BufRead as _, BufReader};
+use std::io::{self, BufReader};
 use std::path::Path;
 
 use loopbound_shared::headline::Headline;
+use loopbound_shared::input::{self, Line};
 use loopbound_shared::sample::{Links, TickRecord};
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -55,13 +55,14 @@ pub struct Run {
 /// If there is no `summary.json` where there should be one, or a file can't be read.
 pub fn read_run(folder: &Path, incomplete: &[String]) -> io::Result<Run> {
     let named = |name: &str, e: io::Error| io::Error::new(e.kind(), format!("{}: {e}", folder.join(name).display()));
-    let (mut summary, rebuilt): (Value, _) = match fs::read(folder.join("summary.json")) {
-        Ok(text) => (serde_json::from_slice(&text).map_err(|e| named("summary.json", e.into()))?, None),
-        Err(error) if error.kind() == io::ErrorKind::NotFound && !incomplete.is_empty() => {
-            rebuilt::figures(folder).map_or((json!({}), None), |(summary, hops)| (json!(summary), Some(hops)))
-        }
-        Err(error) => return Err(named("summary.json", error)),
-    };
+    let (mut summary, rebuilt): (Value, _) =
+        match input::read_file(&folder.join("summary.json"), input::SUMMARY_BYTES_MAX) {
+            Ok(text) => (serde_json::from_slice(&text).map_err(|e| named("summary.json", e.into()))?, None),
+            Err(error) if error.kind() == io::ErrorKind::NotFound && !incomplete.is_empty() => {
+                rebuilt::figures(folder).map_or((json!({}), None), |(summary, hops)| (json!(summary), Some(hops)))
+            }
+            Err(error) => return Err(named("summary.json", error)),
+        };
     if !incomplete.is_empty() {
         // A loop that ran away outweighs a recording of it that is not whole.
         if summary["verdict"]["status"] != Headline::Diverged.word() {
@@ -78,7 +79,10 @@ pub fn read_run(folder: &Path, incomplete: &[String]) -> io::Result<Run> {
         Err(error) => error.to_string(),
     };
     let percentiles = Hop::ALL.map(|hop| {
-        let file = || fs::read_to_string(folder.join(format!("latency/{}.hgrm", hop.name()))).unwrap_or_default();
+        let file = || {
+            input::read_file_text(&folder.join(format!("latency/{}.hgrm", hop.name())), input::SUMMARY_BYTES_MAX)
+                .unwrap_or_default()
+        };
         let text = rebuilt.as_ref().map_or_else(file, |hops| crate::files::percentiles(hops.of(hop).histogram()));
         (hop.name(), percentile_steps(&text))
     });
@@ -107,10 +111,12 @@ fn mood(summary: &Value) -> &'static str {
 
 fn read_events(path: &Path) -> io::Result<(Vec<Value>, u64)> {
     let (mut events, mut left_out) = (Vec::new(), 0);
-    let Ok(file) = fs::File::open(path) else { return Ok((events, 0)) };
-    for line in BufReader::new(file).lines() {
+    let Ok(file) = input::open_file(path) else { return Ok((events, 0)) };
+    let mut lines = BufReader::new(file);
+    while let Some(line) = input::next_line(&mut lines)? {
         // A line that a crash has cut off is no event.
-        let Ok(mut event) = serde_json::from_str(&line?) else { continue };
+        let Line::Whole(line) = line else { continue };
+        let Ok(mut event) = serde_json::from_slice(&line) else { continue };
         if events.len() < EVENTS_MAX {
             complete(&mut event);
             events.push(event);

@@ -41,8 +41,6 @@ use crate::verdict::{Interim, judge_summary};
 const CREDIT_TICKS: u64 = 1536;
 /// Records between two looks at everything else.
 const BATCH_MAX: usize = 256;
-/// Interval between two looks at the topics.
-const POLL_NS: u64 = 2_000_000;
 /// Interval between two looks at what changes seldom: members, announcements.
 const CARE_NS: u64 = 20_000_000;
 /// Records that were sent just before the plant ended arrive within this time.
@@ -278,7 +276,7 @@ impl<'a, const N: usize> Watch<'a, N> {
                 self.drain_the_rest();
                 return if self.last_seen { Ended::LastRecord } else { ended };
             }
-            self.wait(now_ns + POLL_NS);
+            self.wait(now_ns + self.joined.scenario.monitor.poll.ns());
         }
     }
 
@@ -416,7 +414,7 @@ impl<'a, const N: usize> Watch<'a, N> {
                 return;
             }
             if drained == 0 {
-                let _ = sleep_until_ns_or_signal(now_ns + POLL_NS);
+                let _ = sleep_until_ns_or_signal(now_ns + self.joined.scenario.monitor.poll.ns());
             }
         }
     }

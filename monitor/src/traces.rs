@@ -8,12 +8,14 @@ use std::fs;
 use std::io::{self, Write as _};
 use std::path::PathBuf;
 
+use loopbound_shared::scenario::TRACE_TICKS_MAX;
+
 use crate::folder::{Stamp, Stream};
 
 /// Changes that get a file of their own; the samples have them all.
 const CHANGES_MAX: usize = 1024;
 /// Lines that are remembered before a change.
-const BEFORE_MAX: usize = 4096;
+const BEFORE_MAX: usize = TRACE_TICKS_MAX as usize + 1;
 
 /// Writes a file for every change that it sees go by.
 pub(crate) struct Traces {

@@ -13,7 +13,7 @@ use loopbound_shared::runaway;
 use loopbound_shared::sample::{
     Command, Links, Origin, Reply, SEGMENTS_MAX, Segment, State, TickRecord, Torque, record_flag, to_links, to_vector,
 };
-use loopbound_shared::scenario::{Scenario, ScenarioError};
+use loopbound_shared::scenario::{ACTUATION_TICKS_MAX, Scenario, ScenarioError};
 use loopbound_shared::setpoints::SetpointBook;
 use loopbound_shared::system;
 use loopbound_shared::truth::Truth;
@@ -24,7 +24,7 @@ use crate::laws::Laws;
 use crate::swap::SwapRules;
 
 /// Torques under way at once in the transport line of the actuation delay.
-const LINE_MAX: usize = 4096;
+const LINE_MAX: usize = 2 * ACTUATION_TICKS_MAX as usize;
 
 /// When a tick opens. All in the loop's clock: CLOCK_MONOTONIC, or virtual in lockstep.
 #[derive(Clone, Copy, Debug)]

@@ -4,6 +4,8 @@
 //! taken back while it is being watched. Everything is decided by ticks, never by a clock, so that lockstep decides
 //! alike every time.
 
+mod misses;
+
 use std::collections::VecDeque;
 
 use loopbound_shared::chain::LINKS_MAX;
@@ -13,6 +15,7 @@ use loopbound_shared::sample::{Command, Links, Reply};
 use loopbound_shared::scenario::Scenario;
 
 use crate::authority::{Authority, Standing};
+use misses::Misses;
 
 #[cfg(test)]
 mod tests;
@@ -138,8 +141,8 @@ impl Pending {
 pub struct Watch {
     back_to: u32,
     until_tick: u64,
-    /// One bit a tick, newest lowest: no torque on time.
-    misses: u128,
+    /// The last ticks without a torque on time.
+    misses: Misses,
 }
 
 /// What the plant's physics says about a swap.
@@ -262,7 +265,8 @@ impl Authority {
         let from = self.active;
         self.hand_over(request.to, None);
         self.swaps.last = Some(Switch { from, tick, blend_ticks: request.blend_ticks });
-        self.watch = Some(Watch { back_to: from, until_tick: tick + self.rules.rollback_ticks, misses: 0 });
+        self.watch =
+            Some(Watch { back_to: from, until_tick: tick + self.rules.rollback_ticks, misses: Misses::default() });
         self.happen(HappeningKind::Swap, request.to, u64::from(from), step_nm);
         let done = Reply { kind: ReplyKind::Done.code(), tick, value: step_nm, ..Reply::zeroed() };
         self.swaps.conclude(request.to, done);
@@ -285,12 +289,11 @@ impl Authority {
         }
         let (active, rules) = (self.active, self.rules);
         let missed = !self.squeezed && self.member(active).is_none_or(|m| m.answer.is_none() || m.streak == 0);
-        let window = if rules.rollback_window >= 128 { u128::MAX } else { (1 << rules.rollback_window) - 1 };
-        watch.misses = (watch.misses << 1 | u128::from(missed)) & window;
+        watch.misses.push(missed, rules.rollback_window);
         self.watch = Some(watch);
         let reason = if !promise_held {
             Refusal::Promise
-        } else if watch.misses.count_ones() >= rules.rollback_misses {
+        } else if watch.misses.count() >= rules.rollback_misses {
             Refusal::Deadlines
         } else {
             return;

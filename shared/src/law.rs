@@ -19,6 +19,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::chain::{Chain, Vector};
+use crate::quote;
 
 /// Which law computes the torque.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -61,10 +62,15 @@ impl fmt::Display for LawKind {
 
 /// A name that is no law's.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("no law is called {found:?}, allowed: robust, robust-ff, ctc, pd+g")]
+#[error("no law is called \"{}\", allowed: robust, robust-ff, ctc, pd+g{}", quote::text(found), hint(found))]
 pub struct UnknownLaw {
     /// What was found.
     pub found: String,
+}
+
+fn hint(found: &str) -> String {
+    let near = crate::scenario::nearest(found, LawKind::ALL.map(LawKind::name));
+    near.map(|near| format!(", did you mean \"{near}\"?")).unwrap_or_default()
 }
 
 impl FromStr for LawKind {

@@ -8,6 +8,7 @@ mod error;
 mod expect;
 mod keys;
 mod load;
+mod named_file;
 mod names;
 mod notes;
 mod physics;
@@ -20,6 +21,8 @@ mod values;
 
 pub use error::{Place, ScenarioError};
 pub use expect::{Budget, Comparator, ExpectSection, Expectation, parse_condition};
+pub use load::Origin;
+pub use named_file::NamedFile;
 pub use names::{Distribution, DisturbanceKind, FaultKind, Mode, ReferenceKind, Restart, Role, Wakeup, nearest};
 pub use physics::{
     ChainSpec, ControllerSection, DisturbanceSpec, DisturbanceTerm, FrictionSection, GainsSection, ModelSection,
@@ -40,6 +43,21 @@ use serde::{Deserialize, Serialize};
 
 /// Exponent of heavy-tailed delays where none is given: a finite mean, an infinite variance.
 pub const PARETO_SHAPE_DEFAULT: f64 = 1.5;
+
+/// The copy of the waypoints in the folder of a group or of a run, beside its scenario.
+pub const WAYPOINTS_FILE: &str = "waypoints.csv";
+/// Ticks that setpoints may be published ahead: their readers keep 2048.
+pub const SETPOINTS_AHEAD_MAX: u64 = 2000;
+/// Ticks of torques under way in the actuation's delay.
+pub const ACTUATION_TICKS_MAX: u32 = 2048;
+/// Ticks that the rule of misses after a swap may look at.
+pub const ROLLBACK_WINDOW_MAX: u32 = 1024;
+/// Ticks, and time (ns), between two looks of a monitor: it has room for 2048 records.
+pub const POLL_TICKS_MAX: u64 = 1000;
+/// See [`POLL_TICKS_MAX`].
+pub const POLL_NS_MAX: u64 = 1_000_000_000;
+/// Ticks kept on either side of a change of the controller in charge.
+pub const TRACE_TICKS_MAX: u32 = 65_536;
 
 /// Everything that decides a run. Every key has a default; together they are the paper's case.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -119,6 +137,14 @@ impl Scenario {
             length_m,
             gravity_m_s2: model.gravity.unwrap_or(plant.gravity),
         }
+    }
+
+    /// The same scenario with its waypoints in [`WAYPOINTS_FILE`] beside it, where a group and a recording keep their copy.
+    #[must_use]
+    pub fn with_own_waypoints(&self) -> Self {
+        let mut own = self.clone();
+        own.reference.file = own.reference.file.map(|file| file.at(WAYPOINTS_FILE.into()));
+        own
     }
 
     /// How far ahead of the present setpoints are published (ns).

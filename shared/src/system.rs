@@ -3,6 +3,10 @@
 //! Chain, plant and motion come from the scenario's own `build_…`; every process and every study builds the rest here,
 //! so they can't disagree about what a scenario means.
 
+mod check;
+
+pub use check::{check, remarks};
+
 use crate::bound::certificate::{Certificate, Certification, Gains, StartError, certificate, certify};
 use crate::bound::envelope::Assumptions;
 use crate::chain::Vector;

@@ -10,6 +10,7 @@ use thiserror::Error;
 
 use self::profile::{chirp_at, chirp_norms, quintic_at, quintic_norms};
 use crate::chain::Vector;
+use crate::quote;
 
 mod circle;
 mod profile;
@@ -63,7 +64,7 @@ impl SupNorms {
 #[derive(Debug, Error)]
 pub enum TrajectoryError {
     /// A parameter is outside of its range.
-    #[error("{field} is {value}, allowed: {allowed}")]
+    #[error("{field} is {}, allowed: {allowed}", quote::number(*value))]
     Parameter {
         /// Name of the parameter.
         field: &'static str,
@@ -90,16 +91,8 @@ pub enum TrajectoryError {
     /// A circle needs two directions of motion.
     #[error("a circle of the tip needs at least 2 links, found 1")]
     CircleOfOneLink,
-    /// The file of waypoints cannot be read.
-    #[error("{path}: {source}")]
-    File {
-        /// The file.
-        path: String,
-        /// What the system says.
-        source: std::io::Error,
-    },
     /// A line of the file of waypoints is refused. Lines are counted from 1.
-    #[error("{path}, line {line}: {problem}")]
+    #[error("{}, line {line}: {problem}", quote::lines(path))]
     Line {
         /// The file.
         path: String,

@@ -8,6 +8,8 @@ use std::process::ExitStatus;
 use anyhow::Context as _;
 use loopbound_shared::clock;
 use loopbound_shared::group::Group;
+use loopbound_shared::input;
+use loopbound_shared::quote;
 use loopbound_shared::realtime::{ProcessHandle, Signal};
 use loopbound_shared::sample::Announce;
 
@@ -16,6 +18,9 @@ use crate::processes::Process;
 
 /// Lines of a child's own words that a report quotes.
 const QUOTED_LINES_MAX: usize = 20;
+
+/// Of so many bytes at the end of what it said.
+const QUOTED_BYTES_MAX: u64 = 1 << 16;
 
 /// A started process.
 pub(super) struct Child {
@@ -145,11 +150,11 @@ impl Child {
 
     /// What it said, by lines; the last ones if it said much.
     pub(super) fn said(&self) -> Vec<String> {
-        let bytes = fs::read(&self.log).unwrap_or_default();
+        let bytes = input::read_end(&self.log, QUOTED_BYTES_MAX).unwrap_or_default();
         let text = String::from_utf8_lossy(&bytes);
         let lines: Vec<&str> = text.lines().filter(|line| !line.trim().is_empty()).collect();
         let from = lines.len().saturating_sub(QUOTED_LINES_MAX);
-        lines[from..].iter().map(|line| line.strip_prefix("loopbound: ").unwrap_or(line).to_owned()).collect()
+        lines[from..].iter().map(|line| quote::lines(line.strip_prefix("loopbound: ").unwrap_or(line))).collect()
     }
 
     /// Its words are of no use any more.

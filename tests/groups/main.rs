@@ -7,6 +7,7 @@
 
 mod fold;
 mod harness;
+mod input;
 mod untested;
 
 mod attached;

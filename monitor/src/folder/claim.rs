@@ -6,6 +6,7 @@ use std::fs::{self, File};
 use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
 
+use loopbound_shared::input;
 use loopbound_shared::run_id::RunId;
 use rustix::fs::{Access, AtFlags, FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
@@ -143,7 +144,7 @@ impl Claim {
             return refuse("is a symbolic link or no ordinary file");
         }
         let limit = if name == SCENARIO { COMPARED_BYTES } else { HEAD_BYTES as u64 };
-        let head = File::open(&path).and_then(|file| {
+        let head = input::open_file(&path).and_then(|file| {
             let mut head = Vec::new();
             file.take(limit).read_to_end(&mut head).map(|_| head)
         });
@@ -156,7 +157,7 @@ impl Claim {
             about.len() == 0
                 || (stamp.bytes == about.len()
                     && stamp.bytes <= COMPARED_BYTES
-                    && File::open(&path).and_then(Stamp::of_reader).is_ok_and(|now| now == *stamp))
+                    && input::open_file(&path).and_then(Stamp::of_reader).is_ok_and(|now| now == *stamp))
         };
         let empty_of_ours = about.len() == 0 && fs::symlink_metadata(self.path.join(FILE)).is_ok();
         if self.listed.get(name).is_some_and(as_listed) || empty_of_ours || known::is_ours(&self.path, name, &head) {

@@ -9,6 +9,7 @@ use rustix::fs::{FlockOperation, Mode, OFlags};
 use super::known::{SAMPLES, SUMMARY};
 use super::manifest::{Kind, Manifest, Stamp, State};
 use super::{FILE, FolderError};
+use loopbound_shared::input;
 
 /// What was found.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -128,7 +129,7 @@ fn fault(path: &Path, stamp: &Stamp) -> Option<String> {
     if about.len() != stamp.bytes {
         return Some(format!("has {} bytes, its run wrote {}", about.len(), stamp.bytes));
     }
-    match File::open(path).and_then(Stamp::of_reader) {
+    match input::open_file(path).and_then(Stamp::of_reader) {
         Ok(now) if now == *stamp => None,
         Ok(_) => Some("is not what its run wrote: its SHA-256 differs".to_owned()),
         Err(error) => Some(format!("can't be read: {error}")),

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::io::{self, Read};
 use std::path::{Component, Path};
 
+use loopbound_shared::input;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
@@ -138,7 +139,7 @@ impl Manifest {
         if !about.is_file() || about.len() > BYTES_MAX {
             return Err(refuse(&"not a manifest of loopbound's"));
         }
-        let text = std::fs::read(&path).map_err(|error| refuse(&error))?;
+        let text = input::read_file(&path, input::SUMMARY_BYTES_MAX).map_err(|error| refuse(&error))?;
         let manifest: Self = serde_json::from_slice(&text)
             .map_err(|error| refuse(&format!("not a manifest of loopbound's, or a damaged one: {error}")))?;
         if manifest.manifest != VERSION {

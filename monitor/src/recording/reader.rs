@@ -8,6 +8,7 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
+use loopbound_shared::input;
 use loopbound_shared::layout::from_content;
 use loopbound_shared::sample::{Announce, Message as _, TickRecord};
 use mcap::records::Record;
@@ -113,7 +114,7 @@ impl Recording {
         let options =
             LinearReaderOptions::default().with_prevalidate_chunk_crcs(true).with_record_length_limit(LENGTH_MAX);
         let reader = LinearReader::new_with_options(options);
-        let file = File::open(path).map_err(ReadError::Io)?;
+        let file = input::open_file(path).map_err(ReadError::Io)?;
         let (channels, header) = (Channels::default(), Header::default());
         let mut recording = Self { file, reader, channels, header, cut_off: false };
         // The metadata come before the first chunk.

@@ -7,13 +7,16 @@
 //! so are all keys in lockstep, where a latency is what the scenario says and not a sample.
 
 use loopbound_shared::headline::Headline;
-use loopbound_shared::scenario::{Budget, Comparator, ExpectSection, Expectation};
+use loopbound_shared::quote;
+use loopbound_shared::sample::Counters;
+use loopbound_shared::scenario::{Budget, Comparator, ExpectSection, Expectation, nearest};
 use serde_json::Value;
 
 use super::blocks::{Blocks, LAST_BUCKET, NEVER_NS};
 use super::limits::{Limits, estimate, limits};
+use crate::cause::Cause;
 use crate::hops::Hop;
-use crate::summary::{Finding, Judgement, Summary, Verdict};
+use crate::summary::{Finding, Judgement, Summary, Verdict, counters_by_name};
 
 /// Quantiles that have a key.
 const QUANTILES: [(&str, f64); 4] = [("p50", 0.5), ("p90", 0.9), ("p99", 0.99), ("p99_9", 0.999)];
@@ -46,8 +49,13 @@ pub fn validate(section: &ExpectSection) -> Result<(), String> {
         let first = key.split('.').next().unwrap_or(key);
         let open = COUNTED.contains(&first) || OPEN.contains(&first);
         if !open && lookup(&value, key).is_none() {
-            return Err(format!("`{expectation}`: the summary has no key `{key}`"));
+            let mut known = Vec::new();
+            keys_below(&value, "", &mut known);
+            let near = nearest(key, known.iter().map(String::as_str));
+            let hint = near.map(|near| format!(", did you mean `{near}`?")).unwrap_or_default();
+            return Err(format!("`{expectation}`: the summary has no key `{}`{hint}", quote::text(key)));
         }
+        counted(key).map_err(|why| format!("`{expectation}`: {why}"))?;
         match &expectation.budget {
             Budget::Floor(_) if floor_key(key).is_none_or(|floor| lookup(&value, &floor).is_none()) => {
                 return Err(format!("`{expectation}`: the floor has no `{}`", key.rsplit('.').next().unwrap_or(key)));
@@ -65,6 +73,32 @@ pub fn validate(section: &ExpectSection) -> Result<(), String> {
         }
     }
     Ok(())
+}
+
+/// Refuses an entry that a table can never have: what never occurs would count as zero.
+fn counted(key: &str) -> Result<(), String> {
+    let Some((table, entry)) = key.split_once('.') else { return Ok(()) };
+    let known: Vec<String> = match table {
+        "late_ticks_by_cause" | "missed_ticks_by_cause" => Cause::ALL.iter().map(|c| c.name().to_owned()).collect(),
+        "counters" => counters_by_name(&Counters::zeroed()).into_keys().collect(),
+        _ => return Ok(()),
+    };
+    if known.iter().any(|known| known == entry) {
+        return Ok(());
+    }
+    let near = nearest(entry, known.iter().map(String::as_str));
+    let hint = near.map(|near| format!(", did you mean `{table}.{near}`?")).unwrap_or_default();
+    Err(format!("`{table}` has no `{}`, allowed: {}{hint}", quote::text(entry), known.join(", ")))
+}
+
+/// The dotted keys of all figures; those of a latency with and without `latency_ns.` in front.
+fn keys_below(value: &Value, above: &str, found: &mut Vec<String>) {
+    for (key, value) in value.as_object().into_iter().flatten() {
+        let dotted = if above.is_empty() { key.clone() } else { format!("{above}.{key}") };
+        found.extend(dotted.strip_prefix("latency_ns.").map(str::to_owned));
+        keys_below(value, &dotted, found);
+        found.push(dotted);
+    }
 }
 
 /// The verdict of a run that was expected to show something; `natural` is what it is worth without.
@@ -399,7 +433,11 @@ mod tests {
     fn what_could_never_be_judged_is_refused_before_the_run() {
         for (toml, named) in [
             ("'round_trip.p98' = '<= 1us'", "round_trip.p98"),
-            ("'missed_tics' = 0", "missed_tics"),
+            ("'missed_ticks_by_cause.preempted_core' = 0", "`missed_ticks_by_cause` has no `preempted_core`"),
+            ("'counters.fencd' = 0", "did you mean `counters.fenced`?"),
+            ("'missed_tics' = 0", "did you mean `missed_ticks`?"),
+            ("'round_trip.p98' = '<= 1us'", "did you mean `round_trip.p90`?"),
+            ("'bound.violatons' = 0", "did you mean `bound.violations`?"),
             ("'missed_ticks' = '<= 3 floor'", "floor"),
             ("'missed_ticks' = '<= 3us'", "not a time"),
             ("'round_trip.p99' = '== 3us'", "never exactly"),

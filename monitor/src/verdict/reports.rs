@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 
 use loopbound_shared::headline::Headline;
+use loopbound_shared::quote;
 
 use crate::summary::{Finding, Summary, Verdict};
 
@@ -104,8 +105,9 @@ pub fn one_line(verdict: &Verdict) -> String {
     format!("{}: {passed} passed, {failed} failed, {open} inconclusive{worst}", verdict.status)
 }
 
+/// For XML, which has no place for control characters at all.
 fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+    quote::lines(text).replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 #[cfg(test)]

@@ -3,7 +3,9 @@
 use super::error::{Place, ScenarioError};
 use super::{ChainSpec, DisturbanceTerm, Motion, Scenario};
 use crate::chain::{Chain, LinkParameters, Matrix, Vector};
+use crate::input::WAYPOINTS_BYTES_MAX;
 use crate::integrator::PlantState;
+use crate::quote;
 use crate::trajectory::{Circle, CircleParameters, SineTerm, Trajectory, Waypoints};
 use crate::truth::{BandNoise, Disturbance, Truth};
 use std::fmt::Display;
@@ -147,9 +149,15 @@ impl Scenario {
                     CircleParameters { length_m, centre_m, radius_m, omega_rad_s, phase_rad, elbow_positive };
                 Trajectory::Circle(Circle::new(parameters).map_err(|error| refused(key, error))?)
             }
-            Motion::Waypoints { file } => Waypoints::from_csv(&file)
-                .map(Trajectory::Waypoints)
-                .map_err(|error| refused("reference.file", error))?,
+            Motion::Waypoints { file } => {
+                let name = quote::path(file.path());
+                let text = file
+                    .text(WAYPOINTS_BYTES_MAX)
+                    .map_err(|error| refused("reference.file", format_args!("{name}: {error}")))?;
+                let waypoints =
+                    Waypoints::from_csv_text(&text, &name).map_err(|error| refused("reference.file", error))?;
+                Trajectory::Waypoints(waypoints)
+            }
         };
         trajectory.validate().map_err(|error| refused(key, error))?;
         Ok(trajectory)

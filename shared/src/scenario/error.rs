@@ -1,5 +1,6 @@
 //! What can be wrong with a scenario, each in one line.
 
+use crate::quote;
 use std::fmt;
 use std::path::PathBuf;
 
@@ -26,8 +27,8 @@ impl fmt::Display for Place {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Nowhere => Ok(()),
-            Self::File { origin, line, column } => write!(f, "{origin}:{line}:{column}: "),
-            Self::Set(assignment) => write!(f, "--set {assignment}: "),
+            Self::File { origin, line, column } => write!(f, "{}:{line}:{column}: ", quote::lines(origin)),
+            Self::Set(assignment) => write!(f, "--set {}: ", quote::text(assignment)),
         }
     }
 }
@@ -36,7 +37,7 @@ impl fmt::Display for Place {
 #[derive(Debug, thiserror::Error)]
 pub enum ScenarioError {
     /// The file cannot be read.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {source}", quote::path(path))]
     Read {
         /// The file.
         path: PathBuf,
@@ -44,7 +45,7 @@ pub enum ScenarioError {
         source: std::io::Error,
     },
     /// It is not TOML, or says a key twice.
-    #[error("{place}{message}")]
+    #[error("{place}{}", quote::lines(message))]
     Syntax {
         /// Where.
         place: Place,
@@ -52,7 +53,7 @@ pub enum ScenarioError {
         message: String,
     },
     /// A key that does not exist.
-    #[error("{place}unknown key `{key}`{}", nearest.as_ref().map(|near| format!(", did you mean `{near}`?")).unwrap_or_default())]
+    #[error("{place}unknown key `{}`{}", quote::text(key), nearest.as_ref().map(|near| format!(", did you mean `{near}`?")).unwrap_or_default())]
     UnknownKey {
         /// Where.
         place: Place,
@@ -62,7 +63,7 @@ pub enum ScenarioError {
         nearest: Option<String>,
     },
     /// A value of the wrong type, unit or spelling.
-    #[error("{place}`{key}`: {message}")]
+    #[error("{place}`{}`: {}", quote::text(key), quote::lines(message))]
     Type {
         /// Where.
         place: Place,
@@ -72,7 +73,7 @@ pub enum ScenarioError {
         message: String,
     },
     /// A value outside its limits.
-    #[error("{place}`{key}`: found {found}, allowed: {allowed}")]
+    #[error("{place}`{}`: found {}, allowed: {allowed}", quote::text(key), quote::text(found))]
     Value {
         /// Where.
         place: Place,
@@ -84,7 +85,7 @@ pub enum ScenarioError {
         allowed: String,
     },
     /// An assignment that is not `key=value`.
-    #[error("--set {assignment}: {message}")]
+    #[error("--set {}: {message}", quote::text(assignment))]
     Set {
         /// As written.
         assignment: String,

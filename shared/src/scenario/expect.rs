@@ -1,5 +1,7 @@
 //! `[expect]`: what a run must show, on any key of its summary.
 
+use crate::quote;
+
 use super::units::{Nanos, parse_duration};
 use serde::de::{Error as _, MapAccess, Visitor};
 use serde::ser::SerializeMap;
@@ -74,7 +76,7 @@ pub enum Budget {
 impl fmt::Display for Budget {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Number(value) => write!(f, "{value}"),
+            Self::Number(value) => f.write_str(&quote::number(*value)),
             Self::Time(time) => write!(f, "{time}"),
             Self::Floor(factor) => write!(f, "{factor} floor"),
             Self::Text(text) => f.write_str(text),
@@ -95,7 +97,7 @@ pub struct Expectation {
 
 impl fmt::Display for Expectation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} {} {}", self.key, self.comparator, self.budget)
+        write!(f, "{} {} {}", quote::text(&self.key), self.comparator, quote::text(&self.budget.to_string()))
     }
 }
 
@@ -105,7 +107,9 @@ impl fmt::Display for Expectation {
 /// One line that says what was found and what is allowed.
 pub fn parse_condition(text: &str) -> Result<(Comparator, Budget), String> {
     let trimmed = text.trim();
-    let malformed = || format!("found \"{text}\", allowed: a comparison such as \"<= 50us\", \"<= 3 floor\", \"== 0\"");
+    let malformed = || {
+        format!("found \"{}\", allowed: a comparison such as \"<= 50us\", \"<= 3 floor\", \"== 0\"", quote::text(text))
+    };
     let comparator = Comparator::ALL.iter().find_map(|(name, value)| Some((trimmed.strip_prefix(name)?, *value)));
     let (rest, comparator) = comparator.ok_or_else(malformed)?;
     let rest = rest.trim();
@@ -133,7 +137,9 @@ impl FromStr for Expectation {
 
     /// Parses `round_trip.p99 <= 50us`.
     fn from_str(text: &str) -> Result<Self, String> {
-        let at = text.find(['<', '>', '=', '!']).ok_or_else(|| format!("found \"{text}\", allowed: KEY <= VALUE"))?;
+        let at = text
+            .find(['<', '>', '=', '!'])
+            .ok_or_else(|| format!("found \"{}\", allowed: KEY <= VALUE", quote::text(text)))?;
         let (key, condition) = text.split_at(at);
         let (comparator, budget) = parse_condition(condition)?;
         Ok(Self { key: key.trim().to_owned(), comparator, budget })

@@ -3,6 +3,8 @@
 use super::Scenario;
 use super::error::{Place, ScenarioError};
 use super::keys::{KeyMap, check_assigned};
+use crate::input::{self, SCENARIO_BYTES_MAX};
+use crate::quote;
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
 use toml::de::DeTable;
@@ -14,12 +16,28 @@ impl Scenario {
     /// # Errors
     /// An unreadable file, or any error of [`Self::from_toml`].
     pub fn load(path: &Path) -> Result<Self, ScenarioError> {
-        let text =
-            std::fs::read_to_string(path).map_err(|source| ScenarioError::Read { path: path.to_owned(), source })?;
-        let mut scenario = Self::from_toml(&text, &path.display().to_string())?;
-        // What a scenario names lies beside it, wherever the command is started, and also for a role that reads a copy.
-        scenario.anchor_paths(path.parent().unwrap_or(Path::new("")));
-        Ok(scenario)
+        Self::read::<&str>(Some(path), &[]).map(|(scenario, _)| scenario)
+    }
+
+    /// Reads and validates a file (none: all defaults) with several `key=value` in place, and keeps where each key was
+    /// written, for what can be found wrong only later.
+    ///
+    /// # Errors
+    /// Those of [`Self::load`] and of [`Self::with_sets`].
+    pub fn read<S: AsRef<str>>(path: Option<&Path>, assignments: &[S]) -> Result<(Self, Origin), ScenarioError> {
+        let mut origin = Origin::default();
+        let mut scenario = Self::default();
+        if let Some(path) = path {
+            let text = input::read_text(path, SCENARIO_BYTES_MAX)
+                .map_err(|source| ScenarioError::Read { path: path.to_owned(), source })?;
+            scenario = Self::from_toml(&text, &path.display().to_string())?;
+            // What a scenario names lies beside it, wherever the command is started, and also for a role that reads a copy.
+            scenario.anchor(path.parent().unwrap_or(Path::new("")));
+            origin.file = Some((text, path.display().to_string()));
+        }
+        let (scenario, set) = scenario.assign(assignments).map_err(|error| origin.locate(error))?;
+        origin.set = set;
+        Ok((scenario, origin))
     }
 
     /// Reads and validates a text; `origin` stands for its file name in messages.
@@ -53,6 +71,11 @@ impl Scenario {
     /// # Errors
     /// A malformed assignment, an unknown key, a wrong type, or a value outside its limits.
     pub fn with_sets<S: AsRef<str>>(&self, assignments: &[S]) -> Result<Self, ScenarioError> {
+        self.assign(assignments).map(|(scenario, _)| scenario)
+    }
+
+    /// [`Self::with_sets`], and which key was set by which assignment.
+    fn assign<S: AsRef<str>>(&self, assignments: &[S]) -> Result<(Self, Vec<Assigned>), ScenarioError> {
         let mut table = Value::Table(Table::try_from(self)?);
         let mut set = Vec::new();
         for assignment in assignments {
@@ -63,25 +86,23 @@ impl Scenario {
             let segments = segments_of(key.trim()).ok_or_else(|| malformed("the key is not a dotted key"))?;
             check_assigned(&segments).map_err(|error| error.at(|_| Place::Set(assignment.to_owned())))?;
             assign(&mut table, &segments, parse_value(value.trim())).map_err(malformed)?;
-            set.push((dotted(&segments), assignment));
+            set.push((dotted(&segments), assignment.to_owned()));
         }
-        let Value::Table(table) = table else { return Ok(self.clone()) };
-        // The last assignment that reaches the key, or a part of it, is the one to blame.
-        let place = |key: &str| {
-            let reaches =
-                |set: &str| key == set || key.strip_prefix(set).is_some_and(|rest| rest.starts_with(['.', '[']));
-            let last = set.iter().rev().find(|(path, _)| reaches(path) || path.starts_with(key));
-            last.map_or(Place::Nowhere, |(_, assignment)| Place::Set((*assignment).to_owned()))
-        };
+        let Value::Table(table) = table else { return Ok((self.clone(), set)) };
+        let place = |key: &str| place_of_assignment(&set, key);
         let mut scenario: Self = typed(table).map_err(|error| error.at(place))?;
         scenario.validate().map_err(|error| error.at(place))?;
-        scenario.anchor_paths(Path::new(""));
-        Ok(scenario)
+        scenario.anchor(Path::new(""));
+        // A file that was read already, and is still the one that is meant, need not be read again (a pipe can't be).
+        if scenario.reference.file == self.reference.file {
+            scenario.reference.file.clone_from(&self.reference.file);
+        }
+        Ok((scenario, set))
     }
 
     /// Makes the paths in this scenario absolute, as seen from `folder`; an executable's bare name is left to the search
     /// path of the shell.
-    fn anchor_paths(&mut self, folder: &Path) {
+    pub fn anchor(&mut self, folder: &Path) {
         let absolute = |file: &mut PathBuf| {
             // The working directory may be gone; then the path stays as it is, and opening it says so.
             if let Ok(path) = std::path::absolute(folder.join(&*file)) {
@@ -90,7 +111,11 @@ impl Scenario {
         };
         let executables = self.swap.iter_mut().filter_map(|swap| swap.exe.as_mut()).chain(self.controller.exe.as_mut());
         executables.filter(|exe| exe.components().count() > 1).for_each(absolute);
-        self.reference.file.iter_mut().for_each(absolute);
+        if let Some(file) = &mut self.reference.file {
+            let mut path = file.path().to_owned();
+            absolute(&mut path);
+            *file = file.at(path);
+        }
     }
 
     /// The scenario as TOML with all defaults filled in; reading it gives [`Self::resolved`] again, bit for bit.
@@ -127,6 +152,41 @@ impl super::ExpectSection {
             |key: &str| place(if prefix.is_empty() { key.strip_prefix("expect.").unwrap_or(key) } else { key });
         scenario.validate().map_err(|error| error.at(unprefixed))?;
         Ok(scenario.expect)
+    }
+}
+
+/// A key and the assignment that set it.
+type Assigned = (String, String);
+
+/// The last assignment that reaches the key, or a part of it, is the one to blame.
+fn place_of_assignment(set: &[Assigned], key: &str) -> Place {
+    let reaches = |set: &str| key == set || key.strip_prefix(set).is_some_and(|rest| rest.starts_with(['.', '[']));
+    let last = set.iter().rev().find(|(path, _)| reaches(path) || path.starts_with(key));
+    last.map_or(Place::Nowhere, |(_, assignment)| Place::Set(assignment.clone()))
+}
+
+/// Where the keys of a scenario were written: a file, and what the command line set.
+#[derive(Clone, Debug, Default)]
+pub struct Origin {
+    /// Text and name of the file.
+    file: Option<(String, String)>,
+    set: Vec<Assigned>,
+}
+
+impl Origin {
+    /// The same error with the place of its key, if it has none yet and the key was written anywhere.
+    #[must_use]
+    pub fn locate(&self, error: ScenarioError) -> ScenarioError {
+        error.at(|key| {
+            let set = place_of_assignment(&self.set, key);
+            match &self.file {
+                Some((text, origin)) if set == Place::Nowhere => {
+                    let keys = parse(text, origin).map(|(_, keys)| keys).unwrap_or_default();
+                    keys.offset(key).map_or(Place::Nowhere, |offset| place_of(text, origin, offset))
+                }
+                _ => set,
+            }
+        })
     }
 }
 
@@ -175,9 +235,21 @@ fn blame(path: &str, message: &str) -> (String, String) {
     };
     let found = message.strip_prefix("invalid type: ").or_else(|| message.strip_prefix("invalid value: "));
     let worded = found.and_then(|rest| rest.split_once(", expected "));
-    let message =
-        worded.map_or_else(|| message.to_owned(), |(found, allowed)| format!("found {found}, allowed: {allowed}"));
+    let message = worded.map_or_else(
+        || message.to_owned(),
+        |(found, allowed)| format!("found {}, allowed: {}", quote::text(found), type_in_words(allowed)),
+    );
     (path, message.replace('\n', ", "))
+}
+
+/// What the deserialiser calls a type of the language, as a user would.
+fn type_in_words(name: &str) -> &str {
+    match name {
+        "f64" => "a number",
+        "u32" | "u64" | "usize" => "a whole number, not negative",
+        "a boolean" => "true or false",
+        other => other,
+    }
 }
 
 /// Splits `fault[0].delay` and `fault.0.delay` into their parts; the rest behind `expect.` is one key.

@@ -1,6 +1,7 @@
 //! The closed lists of words that a scenario may use, each with one spelling for files, command line and reports.
 
 use crate::law::LawKind;
+use crate::quote;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 use std::str::FromStr;
@@ -10,6 +11,8 @@ use std::str::FromStr;
 pub fn nearest<'a>(found: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     candidates
         .into_iter()
+        // What is far longer than any of them is none of them, and would take long to compare.
+        .filter(|candidate| found.len() <= 2 * candidate.len() + 8)
         .map(|candidate| (strsim::damerau_levenshtein(found, candidate), candidate))
         .min_by_key(|(distance, _)| *distance)
         .filter(|(distance, candidate)| *distance <= 1 + candidate.len() / 3)
@@ -19,7 +22,7 @@ pub fn nearest<'a>(found: &str, candidates: impl IntoIterator<Item = &'a str>) -
 /// The message for a word outside its list: what was found, what is allowed, and the nearest one.
 pub(super) fn unknown_word(found: &str, allowed: &[&str]) -> String {
     let hint = nearest(found, allowed.iter().copied()).map(|near| format!(", did you mean \"{near}\"?"));
-    format!("found \"{found}\", allowed: {}{}", allowed.join(", "), hint.unwrap_or_default())
+    format!("found \"{}\", allowed: {}{}", quote::text(found), allowed.join(", "), hint.unwrap_or_default())
 }
 
 /// Reads the name of a law, and names the nearest one when there is none.

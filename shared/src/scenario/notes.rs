@@ -54,7 +54,7 @@ mod tests {
 
     #[test]
     fn a_run_that_may_be_prolonged_ends_when_it_was_prolonged_for_the_last_time() {
-        let swap = |at: u64| format!("[expect]\noverruns = \"== 0\"\n[[swap]]\nlaw = \"ctc\"\nat = {at}\n");
+        let swap = |at: u64| format!("[expect]\nmissed_ticks = \"== 0\"\n[[swap]]\nlaw = \"ctc\"\nat = {at}\n");
         assert_eq!(in_vain(&swap(5999)), Vec::<String>::new());
         assert_eq!(in_vain(&swap(6000)).len(), 1);
     }

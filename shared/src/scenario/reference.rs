@@ -1,10 +1,10 @@
 //! The section of a scenario about the motion to be followed.
 
+use super::named_file::NamedFile;
 use super::names::ReferenceKind;
 use super::units::Nanos;
 use super::values::PerLink;
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
 
 /// `[reference]`: the motion to be followed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -42,8 +42,8 @@ pub struct ReferenceSection {
     pub phase_rad: Option<f64>,
     /// Whether `circle` bends the chain to the larger angles of its first part; default true.
     pub elbow_positive: Option<bool>,
-    /// CSV file of `waypoints` with the columns t_s, q1 … qn.
-    pub file: Option<PathBuf>,
+    /// CSV file of `waypoints` with columns for the time and each joint, named or in the order t_s, q1 … qn.
+    pub file: Option<NamedFile>,
 }
 
 impl Default for ReferenceSection {
@@ -142,7 +142,7 @@ pub enum Motion {
     /// Points of a file.
     Waypoints {
         /// CSV.
-        file: PathBuf,
+        file: NamedFile,
     },
 }
 

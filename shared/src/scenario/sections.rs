@@ -232,7 +232,7 @@ pub struct MonitorSection {
 
 impl Default for MonitorSection {
     fn default() -> Self {
-        Self { poll: Nanos::from_ms(5), finalise: Nanos::from_ms(50), trace: Nanos::from_ms(100) }
+        Self { poll: Nanos::from_ms(2), finalise: Nanos::from_ms(50), trace: Nanos::from_ms(100) }
     }
 }
 

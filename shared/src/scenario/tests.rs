@@ -217,7 +217,7 @@ fn values_out_of_their_limits_are_refused_with_key_found_and_allowed() {
         ),
         ("[loop]\ngrace = '0s'", "`loop.grace`: found 0s"),
         ("[loop]\nphase = '1ms'", "`loop.phase`: found 1ms, allowed: less than the period of 1ms"),
-        ("[loop]\nmax_step = '0s'", "`loop.max_step`: found 0s, allowed: above zero"),
+        ("[loop]\nmax_step = '0s'", "`loop.max_step`: found 0s, allowed: at least 1us, a thousandth of the period"),
         ("[controller.gains]\nbeta = 0", "`controller.gains.beta`: found 0"),
         ("[controller.uncertainty]\nmass = 1", "`controller.uncertainty.mass`: found 1, allowed: 0 to below 1"),
         ("[controller]\nstandby = 9", "`controller.standby`: found 9, allowed: 0 to 6"),
@@ -378,7 +378,7 @@ fn files_named_by_a_scenario_lie_beside_it_and_stay_found_from_a_copy() {
     let path = folder.path().join("s.toml");
     std::fs::write(&path, "[reference]\nkind = \"waypoints\"\nfile = \"points.csv\"").expect("it can be written");
     let scenario = Scenario::load(&path).expect("it loads");
-    assert_eq!(scenario.reference.file, Some(folder.path().join("points.csv")));
+    assert_eq!(scenario.reference.file, Some(NamedFile::new(folder.path().join("points.csv"))));
     let copy = folder.path().join("out");
     std::fs::create_dir(&copy).expect("a folder");
     std::fs::write(copy.join("s.toml"), scenario.to_toml().expect("it can be written")).expect("it can be written");

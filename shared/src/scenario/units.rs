@@ -1,5 +1,6 @@
 //! Durations and rates as people write them, and as the loops use them: whole nanoseconds and hertz.
 
+use crate::quote;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 use std::str::FromStr;
@@ -13,6 +14,8 @@ const DURATION_UNITS: [(&str, u64); 6] = [
     ("us", 1_000),
     ("ns", 1),
 ];
+/// The longest time of a scenario, 100 000 hours: sums of a few of them, and stamps after them, still fit.
+pub(super) const LONGEST_NS: u64 = 100_000 * 3_600_000_000_000;
 /// The units of a rate with their size in hertz, largest first.
 const RATE_UNITS: [(&str, f64); 3] = [("MHz", 1e6), ("kHz", 1e3), ("Hz", 1.0)];
 
@@ -82,7 +85,7 @@ impl FromStr for Hertz {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum UnitError {
     /// The number or the unit is missing or unknown.
-    #[error("found \"{found}\", allowed: a number with a unit such as {example}")]
+    #[error("found \"{}\", allowed: a number with a unit such as {example}", quote::text(found))]
     Malformed {
         /// The text as written.
         found: String,
@@ -90,13 +93,16 @@ pub enum UnitError {
         example: &'static str,
     },
     /// A duration that is not a whole number of nanoseconds.
-    #[error("found \"{0}\", allowed: whole nanoseconds")]
+    #[error("found \"{}\", allowed: whole nanoseconds", quote::text(.0))]
     Fraction(String),
     /// A value that does not fit.
-    #[error("found \"{0}\", which is too large")]
+    #[error("found \"{}\", which is too large", quote::text(.0))]
     TooLarge(String),
+    /// A time that no run lasts.
+    #[error("found \"{}\", allowed: at most 100000h", quote::text(.0))]
+    TooLong(String),
     /// A negative duration or rate.
-    #[error("found \"{0}\", allowed: not negative")]
+    #[error("found \"{}\", allowed: not negative", quote::text(.0))]
     Negative(String),
 }
 
@@ -164,6 +170,11 @@ pub fn parse_signed_duration(text: &str) -> Result<i64, UnitError> {
     i64::try_from(ns).map(|ns| sign * ns).map_err(|_| UnitError::TooLarge(text.to_owned()))
 }
 
+/// Refuses a time beyond [`LONGEST_NS`], which no run lasts.
+pub(super) fn not_too_long(ns: u64, text: &str) -> Result<(), UnitError> {
+    if ns <= LONGEST_NS { Ok(()) } else { Err(UnitError::TooLong(text.to_owned())) }
+}
+
 /// Writes a duration exactly, in the largest unit that leaves a whole number: `20ms`, `1500us`, `0s`.
 #[must_use]
 pub fn format_duration(ns: u64) -> String {
@@ -215,7 +226,8 @@ impl Serialize for Nanos {
 
 impl<'de> Deserialize<'de> for Nanos {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_any(QuantityVisitor("20ms"))?.parse().map_err(serde::de::Error::custom)
+        let text = deserializer.deserialize_any(QuantityVisitor("20ms"))?;
+        text.parse().and_then(|time: Self| not_too_long(time.0, &text).map(|()| time)).map_err(serde::de::Error::custom)
     }
 }
 

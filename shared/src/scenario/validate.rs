@@ -8,6 +8,10 @@ use super::error::{Place, ScenarioError};
 use super::names::Restart;
 use super::sections::{LoopSection, SwapGateSection};
 use super::units::{Nanos, format_duration};
+use super::{
+    ACTUATION_TICKS_MAX, POLL_NS_MAX, POLL_TICKS_MAX, ROLLBACK_WINDOW_MAX, SETPOINTS_AHEAD_MAX, TRACE_TICKS_MAX,
+};
+use crate::quote;
 use std::fmt::Display;
 
 /// The longest name of a group: it becomes part of file names of limited length.
@@ -18,6 +22,17 @@ const RATE_HZ: std::ops::RangeInclusive<f64> = 1.0..=50_000.0;
 const PRIORITY_MAX: u32 = 98;
 /// As many standbys as the wire has publishers for, less the active controller and one that comes in by a swap.
 const STANDBY_MAX: u32 = 6;
+
+/// The largest number of a scenario: its square, multiplied by a few others of its size, is still far from infinite.
+const MAGNITUDE_MAX: f64 = 1e12;
+/// The smallest number that is not zero, likewise.
+const MAGNITUDE_MIN: f64 = 1e-12;
+/// Injected faults, which every process looks through every tick.
+const FAULTS_MAX: usize = 1000;
+/// Torques of disturbance and sines of a reference, which are added up every tick.
+const TERMS_MAX: usize = 100;
+/// Steps of the integrator in a period: more take longer than any loop waits.
+const STEPS_MAX: u64 = 1000;
 
 /// A refusal of the value at `key`.
 fn refuse<T>(key: impl Display, found: impl Display, allowed: impl Display) -> Result<T, ScenarioError> {
@@ -34,19 +49,26 @@ fn require(ok: bool, key: impl Display, found: impl Display, allowed: impl Displ
     if ok { Ok(()) } else { refuse(key, found, allowed) }
 }
 
-/// Refuses a number that is not positive and finite.
+/// Refuses a number that is not positive, or so small or large that products of it could leave the range of a double.
 fn positive(key: impl Display, value: f64) -> Result<(), ScenarioError> {
-    require(value > 0.0 && value.is_finite(), key, value, "a positive, finite number")
+    let ok = (MAGNITUDE_MIN..=MAGNITUDE_MAX).contains(&value);
+    require(ok, key, quote::number(value), "a positive, finite number, 1e-12 to 1e12")
 }
 
-/// Refuses a number that is negative or not finite.
+/// The same for a number that may be zero.
 fn not_negative(key: impl Display, value: f64) -> Result<(), ScenarioError> {
-    require(value >= 0.0 && value.is_finite(), key, value, "zero or a positive, finite number")
+    let ok = value == 0.0 || (MAGNITUDE_MIN..=MAGNITUDE_MAX).contains(&value);
+    require(ok, key, quote::number(value), "zero or a positive, finite number, 1e-12 to 1e12")
 }
 
-/// Refuses a number that is not finite.
+/// The same for a number of any sign.
 fn finite(key: impl Display, value: f64) -> Result<(), ScenarioError> {
-    require(value.is_finite(), key, value, "a finite number")
+    require(value.abs() <= MAGNITUDE_MAX, key, quote::number(value), "a finite number, -1e12 to 1e12")
+}
+
+/// Refuses a list that is too long to be looked through every tick.
+fn at_most(key: &str, found: usize, most: usize) -> Result<(), ScenarioError> {
+    require(found <= most, key, format_args!("{found} of them"), format_args!("at most {most}"))
 }
 
 /// Checks the name of a group: 1 to 32 of the characters a–z, A–Z, 0–9, `_` and `-`.
@@ -97,7 +119,9 @@ fn check_loop(section: &LoopSection) -> Result<(), ScenarioError> {
     require(section.late_ns() > 0, "loop.late", Nanos(section.late_ns()), "above zero")?;
     let settle = section.settle_ns();
     require(settle <= duration.ns(), "loop.settle", Nanos(settle), format_args!("at most the duration of {duration}"))?;
-    require(section.max_step.ns() > 0, "loop.max_step", section.max_step, "above zero")
+    let shortest = period.div_ceil(STEPS_MAX);
+    let allowed = format_args!("at least {}, a thousandth of the period", format_duration(shortest)).to_string();
+    require(section.max_step.ns() >= shortest, "loop.max_step", section.max_step, allowed)
 }
 
 /// `[realtime]`, `[supervisor]`, `[monitor]` and the number of standbys.
@@ -122,18 +146,39 @@ fn check_operation(scenario: &Scenario) -> Result<(), ScenarioError> {
     let at_least = format_args!("at least back_off, {}", supervisor.back_off).to_string();
     let longest = supervisor.back_off_max;
     require(longest >= supervisor.back_off, "supervisor.back_off_max", longest, at_least)?;
+    check_leads(scenario)?;
     let monitor = &scenario.monitor;
-    require(monitor.poll.ns() > 0, "monitor.poll", monitor.poll, "above zero")?;
+    let longest = Nanos((POLL_TICKS_MAX * scenario.period_ns()).min(POLL_NS_MAX));
+    let allowed = format_args!("above zero, at most {longest}: {POLL_TICKS_MAX} periods, or a second").to_string();
+    require(monitor.poll.ns() > 0 && monitor.poll <= longest, "monitor.poll", monitor.poll, allowed)?;
     let at_least = format_args!("at least poll, {}", monitor.poll).to_string();
     require(monitor.finalise >= monitor.poll, "monitor.finalise", monitor.finalise, at_least)
 }
 
+/// Times of which something is kept for every tick: none is longer than there is room.
+fn check_leads(scenario: &Scenario) -> Result<(), ScenarioError> {
+    let period = scenario.period_ns();
+    let within = |key: &str, found: u64, ticks: u64| {
+        let longest = Nanos(ticks * period);
+        let allowed = format_args!("at most {ticks} periods, {longest}").to_string();
+        require(found <= longest.ns(), key, Nanos(found), allowed)
+    };
+    let lead = scenario.setpoint_lead_ns();
+    within("reference.lead", lead, SETPOINTS_AHEAD_MAX)?;
+    let allowed = format_args!("at least one period, {}", format_duration(period)).to_string();
+    require(lead >= period, "reference.lead", Nanos(lead), allowed)?;
+    within("plant.actuation_delay", scenario.plant.actuation_delay.ns(), u64::from(ACTUATION_TICKS_MAX))?;
+    within("monitor.trace", scenario.monitor.trace.ns(), u64::from(TRACE_TICKS_MAX))
+}
+
 fn check_gate(gate: &SwapGateSection) -> Result<(), ScenarioError> {
     require(gate.consecutive >= 1, "swap_gate.consecutive", gate.consecutive, "at least 1")?;
-    require(gate.torque_step_nm > 0.0, "swap_gate.torque_step_nm", gate.torque_step_nm, "a positive number, or inf")?;
+    let step = gate.torque_step_nm;
+    require(step > 0.0, "swap_gate.torque_step_nm", quote::number(step), "a positive number, or inf")?;
     require(gate.timeout.ns() > 0, "swap_gate.timeout", gate.timeout, "above zero")?;
     let window = gate.rollback_window;
-    require((1..=1024).contains(&window), "swap_gate.rollback_window", window, "1 to 1024 ticks")?;
+    let allowed = format_args!("1 to {ROLLBACK_WINDOW_MAX} ticks").to_string();
+    require((1..=ROLLBACK_WINDOW_MAX).contains(&window), "swap_gate.rollback_window", window, allowed)?;
     let misses = gate.rollback_misses;
     let allowed = format_args!("1 to rollback_window, {window}").to_string();
     require((1..=window).contains(&misses), "swap_gate.rollback_misses", misses, allowed)
@@ -142,7 +187,7 @@ fn check_gate(gate: &SwapGateSection) -> Result<(), ScenarioError> {
 fn check_expectations(scenario: &Scenario) -> Result<(), ScenarioError> {
     let confidence = scenario.expect.confidence;
     let ok = confidence > 0.5 && confidence < 1.0;
-    require(ok, "expect.confidence", confidence, "between 0.5 and 1, both excluded")?;
+    require(ok, "expect.confidence", quote::number(confidence), "between 0.5 and 1, both excluded")?;
     let empty = scenario.expect.conditions.iter().find(|condition| condition.key.trim().is_empty());
     require(empty.is_none(), "expect", "an empty key", "a key of the summary")
 }

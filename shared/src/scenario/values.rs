@@ -1,7 +1,8 @@
 //! Values that a scenario may write in more than one way.
 
 use super::names::Role;
-use super::units::{Nanos, parse_duration, parse_signed_duration};
+use super::units::{Nanos, not_too_long, parse_duration, parse_signed_duration};
+use crate::quote;
 use serde::de::{SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
@@ -139,7 +140,8 @@ impl Visitor<'_> for WhenVisitor {
     }
 
     fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<When, E> {
-        parse_duration(text).map(|ns| When::Time(Nanos(ns))).map_err(E::custom)
+        let parsed = parse_duration(text).and_then(|ns| not_too_long(ns, text).map(|()| ns));
+        parsed.map(|ns| When::Time(Nanos(ns))).map_err(E::custom)
     }
 }
 
@@ -163,7 +165,8 @@ impl Serialize for SignedNanos {
 impl<'de> Deserialize<'de> for SignedNanos {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let text = String::deserialize(deserializer)?;
-        parse_signed_duration(&text).map(Self).map_err(serde::de::Error::custom)
+        let parsed = parse_signed_duration(&text).and_then(|ns| not_too_long(ns.unsigned_abs(), &text).map(|()| ns));
+        parsed.map(Self).map_err(serde::de::Error::custom)
     }
 }
 
@@ -200,7 +203,10 @@ impl FromStr for Target {
         let (role, id) = text.split_once(':').map_or((text, None), |(role, id)| (role, Some(id)));
         let id = id.map(|id| match id.parse::<u32>() {
             Ok(id) if id >= 1 => Ok(id),
-            _ => Err(format!("found \"{text}\", allowed: a role and a number from 1, such as \"controller:2\"")),
+            _ => Err(format!(
+                "found \"{}\", allowed: a role and a number from 1, such as \"controller:2\"",
+                quote::text(text)
+            )),
         });
         Ok(Self { role: role.parse()?, id: id.transpose()? })
     }

@@ -15,10 +15,10 @@
 //! An added knot halves its segment (or divides it in three, if the two are in one), so the system, tridiagonal for
 //! each link, is diagonally dominant and has exactly one solution.
 
-use std::path::Path;
+mod file;
 
 use super::{SetpointValue, SupNorms, TrajectoryError, all_finite, per_link};
-use crate::chain::{LINKS_MAX, Vector};
+use crate::chain::Vector;
 
 /// A path through waypoints, ready to be evaluated.
 #[derive(Clone, Debug, PartialEq)]
@@ -79,49 +79,22 @@ impl<const N: usize> Waypoints<N> {
         }
     }
 
-    /// The spline through the waypoints of a file of comma-separated values: a time (s) and N angles (rad) a line, with
-    /// one line of names before them or none.
-    ///
-    /// # Errors
-    /// The file cannot be read, or the first line that is refused: its number, what is wrong with it, what is allowed.
-    pub fn from_csv(path: &Path) -> Result<Self, TrajectoryError> {
-        let name = path.display().to_string();
-        match std::fs::read_to_string(path) {
-            Ok(text) => Self::from_csv_text(&text, &name),
-            Err(source) => Err(TrajectoryError::File { path: name, source }),
-        }
-    }
-
-    /// As `from_csv`, from the text of a file that messages call `path`.
+    /// The spline through the waypoints of a file of comma-separated values, which messages call `path`: a time and N
+    /// angles a line. A first line of names says which column is what, in which unit; without it they are t_s, q1 … qN
+    /// (s, rad).
     ///
     /// # Errors
     /// The first line that is refused: its number, what is wrong with it, what is allowed.
     pub fn from_csv_text(text: &str, path: &str) -> Result<Self, TrajectoryError> {
         let refuse = |line: usize, problem: String| TrajectoryError::Line { path: path.to_owned(), line, problem };
-        let text = text.trim_start_matches('\u{feff}').trim_end();
-        let mut points: Vec<(f64, Vector<N>)> = Vec::new();
-        for (index, row) in text.lines().enumerate() {
-            let line = index + 1;
-            let is_header = index == 0 && row.split(',').all(|cell| cell.trim().parse::<f64>().is_err());
-            if is_header && !row.trim().is_empty() {
-                continue;
-            }
-            let (t_s, q_rad) = parse_row(row).map_err(|problem| refuse(line, problem))?;
-            if let Some((before_s, _)) = points.last()
-                && t_s <= *before_s
-            {
-                return Err(refuse(
-                    line,
-                    format!("t_s is {t_s}, allowed: more than {before_s}, that of the line before"),
-                ));
-            }
-            points.push((t_s, q_rad));
-        }
-        if points.len() < 2 {
-            let line = text.lines().count().max(1);
-            return Err(refuse(line, format!("the file ends after {} waypoints, allowed: 2 or more", points.len())));
-        }
-        Self::through(&points).map_err(|error| refuse(text.lines().count(), error.to_string()))
+        let read = file::read::<N>(text).map_err(|(line, problem)| refuse(line, problem))?;
+        Self::through(&read.points).map_err(|error| refuse(read.last_line, error.to_string()))
+    }
+
+    /// Whether a file's text names its columns.
+    #[must_use]
+    pub fn has_names(text: &str) -> bool {
+        file::has_names(text)
     }
 
     /// When the motion begins and ends, s.
@@ -180,27 +153,6 @@ impl<const N: usize> Segment<N> {
         let inside = vertex_s > 0.0 && vertex_s < end_s;
         at(0.0).max(at(end_s)).max(if inside { at(vertex_s) } else { 0.0 })
     }
-}
-
-/// A row's time and angles, or what is wrong with it.
-fn parse_row<const N: usize>(row: &str) -> Result<(f64, Vector<N>), String> {
-    const { assert!(N <= LINKS_MAX, "the wire format carries 1 to 7 links") };
-    let found = row.split(',').count();
-    if row.trim().is_empty() {
-        return Err(format!("the line is empty, allowed: t_s and {N} angles"));
-    }
-    if found != N + 1 {
-        return Err(format!("{found} columns, allowed: {} (t_s and {N} angles)", N + 1));
-    }
-    let mut values = [0.0; LINKS_MAX + 1];
-    for (column, cell) in row.split(',').enumerate() {
-        let name = if column == 0 { "t_s".to_owned() } else { format!("q{column}") };
-        values[column] = match cell.trim().parse::<f64>() {
-            Ok(value) if value.is_finite() => value,
-            _ => return Err(format!("{name} is {:?}, allowed: a finite number", cell.trim())),
-        };
-    }
-    Ok((values[0], Vector::from_fn(|i, _| values[i + 1])))
 }
 
 /// The waypoints and the two added knots, whose angles are those of the nearest end plus h² w/6.

@@ -12,6 +12,7 @@ use loopbound_monitor::hops::Hops;
 use loopbound_monitor::{Summary, log};
 use loopbound_shared::clock;
 use loopbound_shared::group::file_of;
+use loopbound_shared::input;
 use loopbound_shared::realtime::{ProcessHandle, Signal, Step};
 use loopbound_shared::scenario::{Nanos, Scenario};
 use thiserror::Error;
@@ -96,7 +97,7 @@ impl Runner<'_> {
             return Err(RunError::Failed(why));
         }
         let mut hops = Hops::default();
-        let bytes = fs::read(out.join(log::FILE))?;
+        let bytes = input::read_file(&out.join(log::FILE), input::FIGURES_BYTES_MAX)?;
         log::add(&mut hops, &bytes, &summary).map_err(RunError::Failed)?;
         let blocks = read_blocks(&out).map_err(|e| RunError::Failed(e.to_string()))?;
         Ok(Run { summary, hops, blocks, cpu })

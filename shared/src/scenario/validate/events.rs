@@ -1,25 +1,70 @@
 //! Limits of scheduled swaps and injected faults.
 
 use super::physics::check_applicable;
-use super::{finite, positive, refuse, require};
+use super::{FAULTS_MAX, at_most, finite, positive, refuse, require};
+use crate::quote;
+use crate::sample::RECEIPTS_MAX;
 use crate::scenario::error::ScenarioError;
 use crate::scenario::names::{Distribution, FaultKind, Mode, Role};
-use crate::scenario::{FaultSpec, Scenario, SwapSpec, When};
+use crate::scenario::units::LONGEST_NS;
+use crate::scenario::{FaultSpec, Nanos, Scenario, SwapSpec, When};
+
+/// Scheduled swaps, all of which the plant is told before it starts.
+const SWAPS_MAX: usize = 64;
 
 pub(super) fn check(scenario: &Scenario) -> Result<(), ScenarioError> {
+    check_members(scenario)?;
     for (index, swap) in scenario.swap.iter().enumerate() {
-        check_swap(index, swap)?;
+        check_swap(index, swap, controllers(scenario))?;
+        check_instant(&format!("swap[{index}].at"), Some(swap.at), scenario.period_ns())?;
     }
+    at_most("fault", scenario.fault.len(), FAULTS_MAX)?;
     let links = scenario.links();
     let lockstep = scenario.loop_.mode == Mode::Lockstep;
-    scenario.fault.iter().enumerate().try_for_each(|(index, fault)| check_fault(index, fault, links, lockstep))
+    for (index, fault) in scenario.fault.iter().enumerate() {
+        check_fault(index, fault, links, lockstep)?;
+        for (name, when) in [("at", fault.at), ("for", fault.for_), ("every", fault.every)] {
+            check_instant(&format!("fault[{index}].{name}"), when, scenario.period_ns())?;
+        }
+    }
+    Ok(())
 }
 
-fn check_swap(index: usize, swap: &SwapSpec) -> Result<(), ScenarioError> {
+/// How many controllers there are: the first, its standbys, and those that scheduled swaps start.
+fn controllers(scenario: &Scenario) -> usize {
+    let started = scenario.swap.iter().filter(|swap| swap.to.is_none()).count();
+    1 + scenario.controller.standby as usize + started
+}
+
+/// Every controller of a scenario is a member from the start.
+fn check_members(scenario: &Scenario) -> Result<(), ScenarioError> {
+    let members = controllers(scenario);
+    let found = format_args!(
+        "{} swaps to new controllers beside {} standbys",
+        scenario.swap.iter().filter(|swap| swap.to.is_none()).count(),
+        scenario.controller.standby
+    )
+    .to_string();
+    require(members <= RECEIPTS_MAX, "swap", found, format_args!("{RECEIPTS_MAX} controllers in all"))?;
+    at_most("swap", scenario.swap.len(), SWAPS_MAX)
+}
+
+/// An instant or a length in ticks is no longer than one in time may be.
+fn check_instant(key: &str, when: Option<When>, period_ns: u64) -> Result<(), ScenarioError> {
+    let Some(When::Tick(tick)) = when else { return Ok(()) };
+    let most = LONGEST_NS / period_ns;
+    require(tick <= most, key, format_args!("tick {tick}"), format_args!("at most {most}, {}", Nanos(LONGEST_NS)))
+}
+
+fn check_swap(index: usize, swap: &SwapSpec, controllers: usize) -> Result<(), ScenarioError> {
     let named = [swap.law.is_some(), swap.exe.is_some(), swap.to.is_some()].into_iter().filter(|given| *given).count();
     let key = format!("swap[{index}]");
     require(named == 1, &key, format_args!("{named} of law, exe, to"), "exactly one of law, exe, to")?;
-    require(swap.to != Some(0), format_args!("{key}.to"), 0, "the number of a controller, from 1")
+    let empty = swap.exe.as_ref().is_some_and(|exe| exe.as_os_str().is_empty());
+    require(!empty, format_args!("{key}.exe"), "\"\"", "the path of an executable")?;
+    let to = swap.to.unwrap_or(1);
+    let ok = (1..=controllers).contains(&(to as usize));
+    require(ok, format_args!("{key}.to"), to, format_args!("the number of a controller, 1 to {controllers}"))
 }
 
 /// The roles that a fault can befall, and its keys: needed and possible beside those of its window.
@@ -91,7 +136,7 @@ fn check_window(section: &str, fault: &FaultSpec) -> Result<(), ScenarioError> {
     require(!zero(fault.for_), key("for"), "0", "above zero")?;
     require(!zero(fault.every), key("every"), "0", "above zero")?;
     let probability = fault.probability.unwrap_or(1.0);
-    require((0.0..=1.0).contains(&probability), key("probability"), probability, "0 to 1")
+    require((0.0..=1.0).contains(&probability), key("probability"), quote::number(probability), "0 to 1")
 }
 
 fn check_delay(section: &str, fault: &FaultSpec) -> Result<(), ScenarioError> {

@@ -1,7 +1,8 @@
 //! Limits of the plant, the controller and the reference.
 
-use super::{finite, not_negative, positive, refuse, require};
+use super::{TERMS_MAX, at_most, finite, not_negative, positive, refuse, require};
 use crate::chain::LINKS_MAX;
+use crate::quote;
 use crate::scenario::error::ScenarioError;
 use crate::scenario::names::{DisturbanceKind, ReferenceKind};
 use crate::scenario::physics::DisturbanceSpec;
@@ -54,12 +55,12 @@ fn check_plant(scenario: &Scenario, links: usize) -> Result<(), ScenarioError> {
         plant.mass.is_some() || plant.length.is_some() || plant.inertia.is_some() || plant.mass_error.is_some();
     check_coefficients("plant", plant.a.as_deref(), plant.b.as_deref(), by_links, links)?;
     per_link("plant.mass_error", plant.mass_error.as_ref(), links, |key, s| {
-        require(s > -1.0 && s.is_finite(), key, s, "above -1: the mass stays positive")
+        require(s > -1.0 && s <= 1e6, key, quote::number(s), "above -1 (the mass stays positive), at most 1e6")
     })?;
     per_link("plant.start_q_rad", plant.start_q_rad.as_ref(), links, finite)?;
     per_link("plant.start_v_rad_s", plant.start_v_rad_s.as_ref(), links, finite)?;
     per_link("plant.torque_limit_nm", plant.torque_limit_nm.as_ref(), links, |key, limit| {
-        require(limit > 0.0, key, limit, "a positive number, or inf")
+        require(limit >= 1e-12, key, quote::number(limit), "a positive number, or inf")
     })?;
     require(plant.speed_limit > 0.0, "plant.speed_limit", plant.speed_limit, "a positive number, or inf")?;
     per_link("plant.friction.viscous_nm_s", Some(&plant.friction.viscous_nm_s), links, not_negative)?;
@@ -68,6 +69,7 @@ fn check_plant(scenario: &Scenario, links: usize) -> Result<(), ScenarioError> {
     not_negative("plant.noise.v_rad_s", plant.noise.v_rad_s)?;
     not_negative("plant.noise.quantum_q_rad", plant.noise.quantum_q_rad)?;
     not_negative("plant.noise.quantum_v_rad_s", plant.noise.quantum_v_rad_s)?;
+    at_most("plant.disturbance", plant.disturbance.len(), TERMS_MAX)?;
     plant.disturbance.iter().enumerate().try_for_each(|(index, spec)| check_disturbance(index, spec, links))
 }
 
@@ -96,7 +98,12 @@ fn check_coefficients(
             // Exactly symmetric: an almost symmetric matrix is a typing error.
             let mirrored = a.get(j).and_then(|other| other.get(i)).copied();
             let symmetric = mirrored.is_none_or(|other| other.to_bits() == value.to_bits());
-            require(symmetric, format_args!("{row_key}[{j}]"), value, format_args!("a symmetric matrix: a[{j}][{i}]"))?;
+            require(
+                symmetric,
+                format_args!("{row_key}[{j}]"),
+                quote::number(*value),
+                format_args!("a symmetric matrix: a[{j}][{i}]"),
+            )?;
         }
     }
     require(is_positive_definite(a), &key, "a matrix that is not", "a positive definite matrix")?;
@@ -185,7 +192,9 @@ fn check_disturbance(index: usize, spec: &DisturbanceSpec, links: usize) -> Resu
     if let (Some(low), Some(high)) = (spec.low_hz, spec.high_hz) {
         not_negative(format_args!("{section}.low_hz"), low)?;
         let above = high > low && high.is_finite();
-        require(above, format_args!("{section}.high_hz"), high, format_args!("above low_hz, {low}"))?;
+        let allowed = format_args!("above low_hz, {}", quote::number(low)).to_string();
+        require(above, format_args!("{section}.high_hz"), quote::number(high), allowed)?;
+        finite(format_args!("{section}.high_hz"), high)?;
     }
     Ok(())
 }
@@ -210,7 +219,7 @@ fn check_controller(scenario: &Scenario, links: usize) -> Result<(), ScenarioErr
     check_coefficients("controller.model", model.a.as_deref(), model.b.as_deref(), by_links, links)?;
     let uncertainty = &scenario.controller.uncertainty;
     let mu = uncertainty.mass;
-    require((0.0..1.0).contains(&mu), "controller.uncertainty.mass", mu, "0 to below 1")?;
+    require((0.0..1.0).contains(&mu), "controller.uncertainty.mass", quote::number(mu), "0 to below 1")?;
     not_negative("controller.uncertainty.disturbance_nm", uncertainty.disturbance_nm)
 }
 
@@ -255,6 +264,7 @@ fn check_reference_values(section: &ReferenceSection, links: usize) -> Result<()
     for (key, values) in vectors {
         per_link(key, values.as_ref(), links, finite)?;
     }
+    at_most("reference.term", section.term.len(), TERMS_MAX)?;
     for (index, term) in section.term.iter().enumerate() {
         let values = [
             ("amplitude_rad", &term.amplitude_rad),
