@@ -27,7 +27,7 @@ use loopbound_shared::cast;
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::{Bell, ControlBlock};
 use loopbound_shared::event::{self, CommandKind, Phase, Refusal, ReplyKind};
-use loopbound_shared::group::Group;
+use loopbound_shared::group::{Group, room};
 use loopbound_shared::ports::{CommandClient, Node, Subscriber};
 use loopbound_shared::realtime::wait_any_end;
 use loopbound_shared::sample::{Announce, Command, Reply, State, TickRecord, Torque};
@@ -53,6 +53,8 @@ use succession::{Due, Retirement};
 use swapping::Swapping;
 use watchdog::Watchdog;
 
+/// Monitors besides the launcher's own that there is room for at the start.
+const GUESTS: u64 = 2;
 /// Time for every process to become ready.
 const READY_NS: u64 = 10_000_000_000;
 /// Interval between two looks at a running group.
@@ -185,6 +187,8 @@ pub fn supervise(scenario: &Scenario, options: &Options<'_>, asked: Option<Asked
 
 impl<'a> Supervisor<'a> {
     fn create(scenario: &'a Scenario, options: &'a Options<'a>) -> anyhow::Result<Self> {
+        let controllers = cast::controllers(scenario).len() as u64;
+        room::require(room::needed(controllers, GUESTS))?;
         let group = Group::create(&options.group)?;
         prepare::write_scenario(&group, scenario)?;
         let block = ControlBlock::create(&group.file("bell")).context("the group's control block")?;
@@ -262,6 +266,10 @@ impl<'a> Supervisor<'a> {
             }
             let missing: Vec<String> = self.children.iter().filter(|c| !c.ready()).map(|c| c.process.name()).collect();
             if missing.is_empty() {
+                // What two processes made together while they started.
+                if let Err(why) = self.group.take_room() {
+                    return Some(End::NotStarted(Failure { exit: Exit::Internal, message: why.to_string() }));
+                }
                 self.ready_ns = clock::now_ns();
                 return None;
             }
@@ -338,6 +346,10 @@ impl<'a> Supervisor<'a> {
         while let Some(announce) = self.announcements.take() {
             if announce.phase != Phase::Ready.code() {
                 continue;
+            }
+            // What a newcomer and the loop made together: the loop itself has no time for it.
+            if self.group.take_room().is_err() {
+                self.note("/dev/shm is full: whoever joins now may fail");
             }
             let Some(child) = self.children.iter_mut().find(|c| c.is_announced_by(&announce)) else { continue };
             self.block.writers().enlist(child.process.role.into(), child.process.id, announce.pid);
@@ -535,11 +547,15 @@ impl<'a> Supervisor<'a> {
 }
 
 fn not_started(child: &Child) -> Failure {
-    let usage = child.ended.is_some_and(|(status, _)| status.code() == Some(i32::from(Exit::Usage.code())));
     let said = child.said();
     let why = if said.is_empty() { child.how_ended() } else { said.join("\n  ") };
     Failure {
-        exit: if usage { Exit::Usage } else { Exit::RoleDied },
+        exit: match child.ended.and_then(|(status, _)| status.code()) {
+            Some(code) if code == i32::from(Exit::Usage.code()) => Exit::Usage,
+            // A want of the machine's, which the child has named.
+            Some(code) if code == i32::from(Exit::Internal.code()) => Exit::Internal,
+            _ => Exit::RoleDied,
+        },
         message: format!("{} did not start: {why}", child.process.name()),
     }
 }

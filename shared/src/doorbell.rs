@@ -97,7 +97,8 @@ impl ControlBlock {
         // Made beside its place: whoever sees it there sees a whole block.
         let unfinished = path.with_extension("new");
         let file = File::options().read(true).write(true).create_new(true).mode(0o600).open(&unfinished)?;
-        file.set_len(size_of::<Shared>() as u64)?;
+        // Not merely as long as that: a page that can't be had later would be a SIGBUS.
+        rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::empty(), 0, size_of::<Shared>() as u64)?;
         let block = Self::map(file)?.take_place()?;
         block.shared().magic.store(MAGIC, SeqCst);
         block.writers().enlist(Role::Supervisor, 0, std::process::id());

@@ -8,6 +8,7 @@
 //! `alive` is also the mark of a group: only a folder of this user's with a file of that name and the right words in it
 //! is ever swept. What lies there is private to the user, whatever the umask.
 
+pub mod room;
 mod runtime;
 mod sweep;
 
@@ -23,6 +24,7 @@ use thiserror::Error;
 
 use crate::layout::{FNV_START, fnv1a};
 use crate::run_id::RunId;
+use room::NoRoom;
 use runtime::Folder;
 pub use runtime::{RUNTIME_VARIABLE, runtime_folder};
 use sweep::SHARED_MEMORY;
@@ -311,6 +313,14 @@ impl Group {
         {
             crate::clock::sleep_ns(2_000_000);
         }
+    }
+
+    /// Takes the pages of all objects that the transport has made for this group, so that touching one can't fail later.
+    ///
+    /// # Errors
+    /// If there is no room for one.
+    pub fn take_room(&self) -> Result<(), NoRoom> {
+        room::take(&self.prefix())
     }
 
     fn sweep_contents(&self) {

@@ -18,7 +18,7 @@ use thiserror::Error;
 use crate::clock;
 use crate::doorbell::ControlBlock;
 use crate::event::{MessageKind, Refusal, ReplyKind, Role};
-use crate::group::Group;
+use crate::group::{Group, room};
 use crate::run_id::RunId;
 use crate::sample::{Announce, Command, Message, Origin, Reply};
 use crate::topics::{NODES_MAX, PUBLISHERS_MAX, SUBSCRIBERS_MAX, Topic};
@@ -36,6 +36,8 @@ pub struct PortError {
 pub struct Node {
     node: iceoryx2::node::Node<ipc::Service>,
     group: String,
+    /// How the names of the group's shared-memory objects begin.
+    prefix: String,
     run: Run,
 }
 
@@ -79,6 +81,9 @@ impl Run {
     }
 }
 
+/// What a port takes besides its samples, and the pages of the transport's own books, bytes: more than was ever seen.
+const PORT_BYTES: u64 = 512 << 10;
+
 /// How long a port waits for the supervisor to clean up after the dead when all places are taken, and between two looks.
 const ROOM_WITHIN_NS: u64 = 3_000_000_000;
 const ROOM_AGAIN_NS: u64 = 20_000_000;
@@ -113,13 +118,22 @@ impl Node {
         set_log_level(LogLevel::Fatal);
         let name = group.name();
         let config = configuration(group)?;
+        room::require(PORT_BYTES).map_err(|e| error(name, "joining", e))?;
         let node = NodeBuilder::new()
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<ipc::Service>()
             .map_err(|e| error(name, "joining", e))?;
         group.close_objects();
-        Ok(Self { node, group: name.to_owned(), run: Run::of(group)? })
+        Ok(Self { node, group: name.to_owned(), prefix: group.prefix(), run: Run::of(group)? })
+    }
+
+    /// Makes a port whose samples take `bytes`: not where there is no room for it, and with all its pages.
+    fn make<P>(&self, what: &str, bytes: usize, port: impl FnOnce() -> Result<P, PortError>) -> Result<P, PortError> {
+        room::require(PORT_BYTES + bytes as u64).map_err(|e| error(&self.group, what, e))?;
+        let port = port()?;
+        room::take(&self.prefix).map_err(|e| error(&self.group, what, e))?;
+        Ok(port)
     }
 
     fn service_name(&self, what: &str) -> Result<ServiceName, PortError> {
@@ -148,7 +162,7 @@ impl Node {
     /// # Errors
     /// If the topic has another layout (another build is in the group) or no room.
     pub fn publisher<T: Topic>(&self) -> Result<Publisher<T>, PortError> {
-        with_patience(|| self.try_publisher())
+        with_patience(|| self.make(T::NAME, T::KEPT * size_of::<T>(), || self.try_publisher()))
     }
 
     fn try_publisher<T: Topic>(&self) -> Result<Publisher<T>, PortError> {
@@ -158,7 +172,7 @@ impl Node {
             .max_loaned_samples(1)
             // Worst case is every subscriber full: room for four of them keeps locked memory small, and a loan that
             // fails is counted by its caller, never waited for.
-            .override_sample_preallocation(|worst| worst.min(4 * T::DEPTH + T::HISTORY + 16))
+            .override_sample_preallocation(|worst| worst.min(T::KEPT))
             .create()
             .map_err(|e| error(&self.group, T::NAME, e))?;
         Ok(Publisher { port, run: self.run.clone() })
@@ -170,7 +184,7 @@ impl Node {
     /// # Errors
     /// If the topic has another layout (another build is in the group) or no room.
     pub fn subscriber<T: Topic>(&self, depth: usize) -> Result<Subscriber<T>, PortError> {
-        with_patience(|| self.try_subscriber(depth))
+        with_patience(|| self.make(T::NAME, 0, || self.try_subscriber(depth)))
     }
 
     fn try_subscriber<T: Topic>(&self, depth: usize) -> Result<Subscriber<T>, PortError> {
@@ -201,7 +215,8 @@ impl Node {
     /// If there is no room.
     pub fn notifier(&self, bell: &str) -> Result<Notifier, PortError> {
         let failed = |e| error(&self.group, bell, e);
-        let port = with_patience(|| self.event(bell)?.notifier_builder().create().map_err(failed))?;
+        let port =
+            with_patience(|| self.make(bell, 0, || self.event(bell)?.notifier_builder().create().map_err(failed)))?;
         Ok(Notifier { port })
     }
 
@@ -212,7 +227,8 @@ impl Node {
     /// If there is no room.
     pub fn listener(&self, bell: &str) -> Result<Listener, PortError> {
         let failed = |e| error(&self.group, bell, e);
-        let port = with_patience(|| self.event(bell)?.listener_builder().create().map_err(failed))?;
+        let port =
+            with_patience(|| self.make(bell, 0, || self.event(bell)?.listener_builder().create().map_err(failed)))?;
         Ok(Listener { port })
     }
 
@@ -251,7 +267,8 @@ impl Node {
     /// # Errors
     /// If another process serves them already.
     pub fn command_server(&self) -> Result<CommandServer, PortError> {
-        let port = self.commands()?.server_builder().create().map_err(|e| error(&self.group, "command server", e))?;
+        let failed = |e| error(&self.group, "command server", e);
+        let port = self.make("command server", 0, || self.commands()?.server_builder().create().map_err(failed))?;
         Ok(CommandServer { port, run: self.run.clone() })
     }
 
@@ -260,7 +277,8 @@ impl Node {
     /// # Errors
     /// If there is no room.
     pub fn command_client(&self) -> Result<CommandClient, PortError> {
-        let port = self.commands()?.client_builder().create().map_err(|e| error(&self.group, "command client", e))?;
+        let failed = |e| error(&self.group, "command client", e);
+        let port = self.make("command client", 0, || self.commands()?.client_builder().create().map_err(failed))?;
         Ok(CommandClient { port, group: self.group.clone(), run: self.run.clone() })
     }
 

@@ -23,6 +23,8 @@ pub trait Topic: Message + iceoryx2::prelude::ZeroCopySend + core::fmt::Debug {
     const DEPTH: usize;
     /// Past samples that a late reader is given.
     const HISTORY: usize;
+    /// Samples that a writer has room for.
+    const KEPT: usize = 4 * Self::DEPTH + Self::HISTORY + 16;
 }
 
 macro_rules! topics {

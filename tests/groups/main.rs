@@ -22,6 +22,7 @@ mod live;
 mod lockstep;
 mod realtime;
 mod recording;
+mod resources;
 mod results;
 mod scenario_faults;
 mod stopped;

@@ -49,7 +49,7 @@ pub(super) fn close_objects(prefix: &str) {
 
 /// Calls `act` with each shared-memory object of this user whose name starts with `prefix`. Where they lie everybody may
 /// make entries, and only the owner of one can exchange it.
-fn each_object(prefix: &str, act: impl Fn(&OwnedFd, &CStr, FileType)) {
+pub(super) fn each_object(prefix: &str, act: impl Fn(&OwnedFd, &CStr, FileType)) {
     let Ok(memory) = openat(CWD, SHARED_MEMORY, OFlags::RDONLY | OFlags::DIRECTORY | OFlags::CLOEXEC, Mode::empty())
     else {
         return;
