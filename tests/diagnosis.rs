@@ -335,4 +335,22 @@ fn an_uncertified_loop_runs_away_by_the_level_of_its_scenario_and_a_sound_one_do
     assert_eq!(judge_summary(&summary).headline(), Headline::NotCertified);
     let (_, summary) = records(&scenario(&[uncertified, "loop.rate=200Hz"]));
     assert_eq!(judge_summary(&summary).headline(), Headline::Diverged);
+#[test]
+fn a_delay_that_jumps_shakes_a_loop_that_is_calm_with_the_longest_of_its_delays_all_the_time() {
+    // a h = 1.5, a d = 0.9: within [11], beyond the rule for jitter [14].
+    let settings = ["controller.gains.k_t=151.9", "controller.gains.c1=29.2", "loop.grace=740us", "loop.settle=500ms"];
+    let delayed = |every: u32| {
+        let fault = format!("[[fault]]\nkind = \"delay\"\ndelay = \"600us\"\nat = 0\nfor = \"1h\"\nevery = {every}\n");
+        run(&with_toml(&settings, &fault)).0
+    };
+    let (constant, jittering) = (delayed(1), delayed(2));
+    let (calm, shakes) = (constant.tracking.max_abs_ed_rad_s, jittering.tracking.max_abs_ed_rad_s);
+    assert!(constant.diverged.is_none() && calm.is_some_and(|v| v < 0.5), "{calm:?}");
+    assert!(jittering.diverged.is_some() || shakes.is_some_and(|v| v > 20.0), "{shakes:?}");
+    let (constant, jittering) = (constant.bound, jittering.bound);
+    assert_eq!(constant.budget_rule.as_deref(), Some("constant delay"));
+    assert!(constant.budget_used.is_some_and(|used| (used - 0.9).abs() < 5e-3), "{:?}", constant.budget_used);
+    assert_eq!(jittering.budget_rule.as_deref(), Some("jittering delay"));
+    assert!(jittering.budget_used.is_some_and(|used| (used - 1.085).abs() < 5e-3), "{:?}", jittering.budget_used);
+    assert!(jittering.delay_margin_ns.is_some_and(|margin| margin < 1.0));
 }

@@ -23,7 +23,7 @@ use loopbound_shared::truth::Truth;
 use self::figures::Figures;
 use crate::event::{EventKind, EventLog};
 use crate::members::name_of;
-use crate::summary::{BoundSummary, finite};
+use crate::summary::{BoundSummary, Quantiles, finite};
 use crate::tracker::segments;
 
 /// Samples that are remembered: a torque that is older than this answers an unknown one.
@@ -400,15 +400,15 @@ impl<const N: usize> Judge<N> {
         }
     }
 
-    /// The figures so far. `loop_latency_ns`: p99.9 of deadline → torque.
+    /// The figures so far. `loop_latency`: of deadline → torque, whose least and p99.9 are the range of the delay.
     #[must_use]
-    pub fn summary(&self, period_ns: u64, loop_latency_ns: Option<f64>) -> BoundSummary {
+    pub fn summary(&self, period_ns: u64, loop_latency: &Quantiles) -> BoundSummary {
         let mut summary = self.figures.summary(self.own.as_ref());
         let claim = if self.active == 0 { self.own.as_ref() } else { self.claim_for(self.active) };
-        let delay_ns = loop_latency_ns.map(|ns| ns + self.actuation_delay_ns as f64);
         if let Some(claim) = claim {
-            summary.loop_latency_ns = delay_ns;
-            figures::put_budget(&mut summary, &claim.certificate, period_ns, delay_ns);
+            let delay_ns = |latency_ns: Option<f64>| latency_ns.map(|ns| ns + self.actuation_delay_ns as f64);
+            let range_ns = delay_ns(loop_latency.min).zip(delay_ns(loop_latency.p99_9));
+            figures::put_budget(&mut summary, &claim.certificate, period_ns, range_ns);
         }
         summary
     }

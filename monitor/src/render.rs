@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 
+use loopbound_shared::bound::stability::SamplingRule;
 use loopbound_shared::event::MessageKind;
 
 use crate::cause::words_of;
@@ -201,6 +202,15 @@ fn bound(screen: &mut Screen, summary: &Summary) {
         of_one_law(screen, bound);
     }
     let text = match bound.budget_used {
+        Some(used) if bound.budget_rule.as_deref() == Some(SamplingRule::JitteringDelay.name()) => format!(
+            "{:.1} % of what sampling allows is used by the period of {} and a latency that jumps between {} (least) and {} \
+             (p99.9), margin {}; by the rule for jitter [14], which is necessary, not sufficient",
+            used * 100.0,
+            time(summary.rate_hz.map(|rate_hz| 1e9 / rate_hz)),
+            time(bound.loop_latency_min_ns),
+            time(bound.loop_latency_ns),
+            time(bound.delay_margin_ns)
+        ),
         Some(used) => format!(
             "{:.1} % of what sampling allows is used by the period of {} and a latency of {} (p99.9), margin {}",
             used * 100.0,

@@ -258,10 +258,14 @@ pub struct BoundSummary {
     pub w_norm_max_settled: Option<f64>,
     /// How much later the p99.9 torque could be before the sampled loop is unstable, ns. \[11]
     pub delay_margin_ns: Option<f64>,
-    /// Share of the latency budget used, by the p99.9 of the loop latency. \[11]
+    /// Share of the latency budget used, by the p99.9 of the loop latency and, since it jumps, by its least. \[11], \[14]
     pub budget_used: Option<f64>,
-    /// The loop latency that it is computed from, ns.
+    /// Which of the two rules the share is of: `constant delay` \[11] or `jittering delay` \[14], the stricter one.
+    pub budget_rule: Option<String>,
+    /// The loop latency that it is computed from, p99.9, ns.
     pub loop_latency_ns: Option<f64>,
+    /// The least loop latency, ns.
+    pub loop_latency_min_ns: Option<f64>,
     /// The figures of each law, in the order in which they first were in charge.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub laws: Vec<LawSummary>,

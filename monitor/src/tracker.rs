@@ -375,7 +375,7 @@ impl<const N: usize> Tracker<N> {
             ..Summary::default()
         };
         if let Some(judge) = &self.judge {
-            summary.bound = judge.summary(config.period_ns, summary.latency_ns.deadline_to_torque.p99_9);
+            summary.bound = judge.summary(config.period_ns, &summary.latency_ns.deadline_to_torque);
             summary.bound.fallback_by_cause = self.causes.fallback_of(summary.bound.verdicts("fallback")).by_name();
         }
         summary.faults_injected.insert("torques_and_plant".to_owned(), counters.faults_injected);

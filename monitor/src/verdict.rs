@@ -89,7 +89,8 @@ fn findings(summary: &Summary) -> Vec<(Headline, String)> {
         format!("{braked} ticks broke the bound under the plant's own fallback, as no torque came: {why}"),
     );
     let used_up = bound.budget_used.is_some_and(|used| used >= 1.0);
-    find(used_up, Headline::Late, "the latency budget [11] is used up".to_owned());
+    let rule = bound.budget_rule.as_deref().unwrap_or("constant delay");
+    find(used_up, Headline::Late, format!("the latency budget is used up, by the rule for a {rule}"));
     let uncertified = summary.ticks_seen > 0 && !bound.certified;
     let reason = "nothing is certified for this law, gains and start".to_owned();
     find(uncertified, Headline::NotCertified, reason);

@@ -71,6 +71,16 @@ pub fn sampling<const N: usize>(
     })
 }
 
+/// A limit to stay below, in ms: rounded down, so that what is printed holds when it is tried.
+fn rounded_down_ms(limit_s: f64) -> String {
+    format!("{:.4} ms", (limit_s * 1e7).floor() * 1e-4)
+}
+
+/// A period to stay below, with the rate to stay above, both rounded to the safe side.
+fn period_and_rate(limit_s: f64) -> String {
+    format!("{} ({:.0} Hz and more)", rounded_down_ms(limit_s), (1.0 / limit_s).ceil())
+}
+
 impl Sampling {
     /// For people.
     #[must_use]
@@ -80,14 +90,16 @@ impl Sampling {
         let state = |stable: bool| if stable { "stable" } else { "UNSTABLE" };
         match &self.budget {
             Some(budget) => {
+                let limit = match budget.period_max_s {
+                    Some(period_s) => format!("period up to {}", period_and_rate(period_s)),
+                    None => "no period is stable with so much delay".to_owned(),
+                };
                 let _ = writeln!(
                     text,
-                    "  [11] {}: {:.1} % of the room used, {:.4} ms of delay left, period up to {:.4} ms ({:.0} Hz)",
+                    "  [11] {}: {:.1} % of the room used, {} of delay left, {limit}",
                     state(budget.used < 1.0),
                     budget.used * 100.0,
-                    budget.delay_margin_s * 1e3,
-                    budget.period_max_s * 1e3,
-                    1.0 / budget.period_max_s
+                    rounded_down_ms(budget.delay_margin_s),
                 );
             }
             None => {
@@ -96,10 +108,10 @@ impl Sampling {
         }
         let _ = writeln!(
             text,
-            "  spectral radius {:.5}: {}, {:.4} ms of delay left",
+            "  spectral radius {:.5}: {}, {} of delay left",
             self.radius,
             state(self.radius < 1.0),
-            self.radius_margin_s * 1e3
+            rounded_down_ms(self.radius_margin_s)
         );
         match &self.proven {
             Some(proven) => {

@@ -3,7 +3,7 @@
 
 use loopbound_shared::bound::certificate::Certificate;
 use loopbound_shared::bound::diagnose::{IntervalDiagnosis, Verdict};
-use loopbound_shared::bound::stability::sampling_budget;
+use loopbound_shared::bound::stability::sampling_budget_with_jitter;
 use loopbound_shared::law::LawKind;
 
 use super::Claim;
@@ -250,12 +250,19 @@ fn put_certificate<const N: usize>(summary: &mut BoundSummary, claim: &Claim<N>)
     }
 }
 
-/// What of \[11] is used by a period and a delay.
-pub(super) fn put_budget(summary: &mut BoundSummary, certificate: &Certificate, period_ns: u64, delay_ns: Option<f64>) {
-    if let Some(delay_ns) = delay_ns
-        && let Some(budget) = sampling_budget(certificate, period_ns as f64 * 1e-9, delay_ns * 1e-9)
-    {
+/// What of the room that sampling leaves is used by a period and a delay between the two ends of a range.
+pub(super) fn put_budget(
+    summary: &mut BoundSummary,
+    certificate: &Certificate,
+    period_ns: u64,
+    range_ns: Option<(f64, f64)>,
+) {
+    let Some((least_ns, most_ns)) = range_ns else { return };
+    (summary.loop_latency_min_ns, summary.loop_latency_ns) = (Some(least_ns), Some(most_ns));
+    let period_s = period_ns as f64 * 1e-9;
+    if let Some(budget) = sampling_budget_with_jitter(certificate, period_s, least_ns * 1e-9, most_ns * 1e-9) {
         summary.budget_used = finite(budget.used);
+        summary.budget_rule = Some(budget.rule.name().to_owned());
         summary.delay_margin_ns = finite(budget.delay_margin_s * 1e9);
     }
 }

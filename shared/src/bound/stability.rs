@@ -3,18 +3,20 @@
 //!
 //! All of it is a design rule or a start-up computation; whether a run kept its bound is the matter of `diagnose`.
 
-use core::f64::consts::PI;
-
 use crate::law::LawKind;
 
 use super::certificate::{Certificate, Gains, StartError, certificate};
 use super::envelope::Envelope;
 
+pub mod boundary;
 pub mod radius;
 
 mod dense;
 
-/// How much of the room that \[11] leaves is used by a period and a delay.
+pub use self::boundary::critical_rate;
+use self::boundary::{critical_rate_with_jitter, longest_period_s};
+
+/// How much of the room that sampling leaves is used by a period and a delay.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SamplingBudget {
     /// a d; 1 and more is unstable where d < h. \[11]
@@ -22,12 +24,34 @@ pub struct SamplingBudget {
     /// a (h − 2d)/2; 1 and more is unstable. \[11]
     pub hold_ratio: f64,
     /// The rate of the fastest mode over the rate at which the loop loses its stability: the larger of both ratios for
-    /// d < h. Below 1 the loop is stable.
+    /// a constant d < h. Below 1 the loop is stable.
     pub used: f64,
     /// What may be added to the delay before `used` reaches 1, s; 0 when it has.
     pub delay_margin_s: f64,
-    /// The longest period at this delay, s.
-    pub period_max_s: f64,
+    /// The period that separates stable from unstable at this delay, s; none when no period is stable with it.
+    pub period_max_s: Option<f64>,
+    /// Which rule `used` is of.
+    pub rule: SamplingRule,
+}
+
+/// The rule by which a use of the sampling budget was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SamplingRule {
+    /// \[11]: the delay is the same in every tick.
+    ConstantDelay,
+    /// \[14]: the delay jumps between its least and its largest. Necessary, not sufficient.
+    JitteringDelay,
+}
+
+impl SamplingRule {
+    /// The name in files.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::ConstantDelay => "constant delay",
+            Self::JitteringDelay => "jittering delay",
+        }
+    }
 }
 
 /// Rate a of the fastest mode of the loop, 1/s: ṙ = −a r, in the worst configuration (links aligned).
@@ -52,51 +76,37 @@ pub fn fast_rate(cert: &Certificate) -> Option<f64> {
 /// it is a d < 1, a(h − 2d) < 2. None where [`fast_rate`] is none. Local: the loop is linearised; no region of attraction is claimed.
 #[must_use]
 pub fn sampling_budget(cert: &Certificate, period_s: f64, delay_s: f64) -> Option<SamplingBudget> {
-    let rate = fast_rate(cert)?;
-    let used = |delay_s: f64| rate / critical_rate(period_s, delay_s);
-    // The use of the budget falls with the delay up to h/4 (there is one best delay) and grows from there on.
-    let (mut holds, mut fails) = (delay_s.max(period_s / 4.0), 2.0 * (delay_s + period_s + PI / rate));
-    let delay_margin_s = if used(delay_s) >= 1.0 {
-        0.0
-    } else {
-        for _ in 0..60 {
-            let middle = 0.5 * (holds + fails);
-            if used(middle) < 1.0 { holds = middle } else { fails = middle }
-        }
-        (holds - delay_s).max(0.0)
-    };
-    Some(SamplingBudget {
-        delay_ratio: rate * delay_s,
-        hold_ratio: rate * (period_s - 2.0 * delay_s) / 2.0,
-        used: used(delay_s),
-        delay_margin_s,
-        period_max_s: 2.0 * delay_s + 2.0 / rate,
-    })
+    let critical = |delay_s| critical_rate(period_s, delay_s);
+    Some(budget(fast_rate(cert)?, period_s, delay_s, critical, SamplingRule::ConstantDelay))
 }
 
-/// The rate a (1/s) at which ṙ = −a r, sampled every h and answered d later, loses its stability; any d ≥ 0.
-///
-/// With d = (j + f) h, 0 ≤ f < 1, the loop is z^{j+1}(z − 1) + a h((1−f) z + f) = 0. For j = 0 that is \[11]; for j ≥ 1
-/// the first crossing z = e^{iθ} of the unit circle solves (j + 3/2) θ − arg((1−f) e^{iθ} + f) = π/2, and there
-/// a h = 2 sin(θ/2)/|(1−f) e^{iθ} + f|.
+/// The stricter of \[11] and \[14] for a delay that may lie anywhere between `least_s` and `most_s`, from tick to tick.
+/// What is left is left of `most_s`.
 #[must_use]
-pub fn critical_rate(period_s: f64, delay_s: f64) -> f64 {
-    if delay_s < period_s {
-        // max(d, (h − 2d)/2) is at least h/4, never 0.
-        return 1.0 / delay_s.max((period_s - 2.0 * delay_s) / 2.0);
+pub fn sampling_budget_with_jitter(
+    cert: &Certificate,
+    period_s: f64,
+    least_s: f64,
+    most_s: f64,
+) -> Option<SamplingBudget> {
+    if least_s >= most_s {
+        return sampling_budget(cert, period_s, most_s);
     }
-    let whole = (delay_s / period_s).floor();
-    let part = delay_s / period_s - whole;
-    let (mut low, mut high) = (0.0, PI / 2.0);
-    for _ in 0..60 {
-        let theta = 0.5 * (low + high);
-        let (real, imaginary) = ((1.0 - part) * libm::cos(theta) + part, (1.0 - part) * libm::sin(theta));
-        let phase = (whole + 1.5) * theta - libm::atan2(imaginary, real);
-        if phase < PI / 2.0 { low = theta } else { high = theta }
+    let critical = |most_s| critical_rate_with_jitter(period_s, least_s, most_s);
+    let stricter = critical(most_s) < critical_rate(period_s, most_s);
+    let rule = if stricter { SamplingRule::JitteringDelay } else { SamplingRule::ConstantDelay };
+    Some(budget(fast_rate(cert)?, period_s, most_s, critical, rule))
+}
+
+fn budget(rate: f64, period_s: f64, delay_s: f64, critical: impl Fn(f64) -> f64, rule: SamplingRule) -> SamplingBudget {
+    SamplingBudget {
+        delay_ratio: rate * delay_s,
+        hold_ratio: rate * (period_s - 2.0 * delay_s) / 2.0,
+        used: rate / critical(delay_s),
+        delay_margin_s: boundary::delay_margin_s(rate, period_s, delay_s, critical),
+        period_max_s: longest_period_s(rate, period_s, delay_s),
+        rule,
     }
-    let theta = 0.5 * (low + high);
-    let (real, imaginary) = ((1.0 - part) * libm::cos(theta) + part, (1.0 - part) * libm::sin(theta));
-    2.0 * libm::sin(theta / 2.0) / ((real * real + imaginary * imaginary).sqrt() * period_s)
 }
 
 /// The age for which the bound is proven a priori, with the constants that it then has. \[12]
