@@ -169,6 +169,6 @@ mod tests {
         let scenario = Scenario::default().with_set("controller.law=ctc").unwrap();
         let (_, sampling) = examine::<3>(&scenario, 1e-3).unwrap();
         assert!(sampling.budget.is_none() && sampling.smallest_w.is_none() && sampling.radius < 1.0);
-        assert!(sampling.to_json()["budget"].is_null() && sampling.radius_margin_s > 1e-3);
+        assert!(sampling.to_json()["budget"].is_null() && sampling.radius_margin.seconds() > 1e-3);
     }
 }

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use loopbound_shared::bound::certificate::{Certificate, StartError};
-use loopbound_shared::bound::stability::radius::{delay_margin_s, worst_radius};
+use loopbound_shared::bound::stability::radius::{Limit, SampledLoop};
 use loopbound_shared::bound::stability::{
     ProvenAge, SamplingBudget, hold_limit_s, hold_limit_ticks, proven_age, sampling_budget, smallest_w,
 };
@@ -26,8 +26,10 @@ pub struct Sampling {
     pub budget: Option<SamplingBudget>,
     /// Largest spectral radius of the sampled loop over configurations; below 1 it is stable.
     pub radius: f64,
-    /// What may be added to the latency by the spectral radius, s.
-    pub radius_margin_s: f64,
+    /// What may be added to the latency by the spectral radius.
+    pub radius_margin: Limit,
+    /// The longest period at this latency by the spectral radius; none when no period is stable.
+    pub radius_period: Option<Limit>,
     /// \[12].
     pub proven: Option<ProvenAge>,
     /// V and |τ| (N·m) for which the hold limit is given: where V settles, and the most that gravity asks.
@@ -54,15 +56,16 @@ pub fn sampling<const N: usize>(
     let law = system::law::<N>(scenario, law_kind)?;
     let assumptions = system::assumptions::<N>(scenario)?;
     let start = StartError::of(&assumptions.nominal, &system::start::<N>(scenario)?);
-    let plant = scenario.build_truth::<N>()?.chain;
+    let sampled = SampledLoop::new(&law, &scenario.build_truth::<N>()?.chain, CONFIGURATIONS);
     let envelope = assumptions.envelope();
     let held = (certificate.v_ultimate(), (1.0 + envelope.mu) * envelope.b_hat);
     Ok(Sampling {
         period_s,
         latency_s,
         budget: sampling_budget(certificate, period_s, latency_s),
-        radius: worst_radius(&law, &plant, period_s, latency_s, CONFIGURATIONS),
-        radius_margin_s: delay_margin_s(&law, &plant, period_s, latency_s),
+        radius: sampled.worst_radius(period_s, latency_s),
+        radius_margin: sampled.delay_margin(period_s, latency_s),
+        radius_period: sampled.longest_period(period_s, latency_s),
         proven: proven_age(certificate),
         held,
         hold_s: hold_limit_s(certificate, held.0, held.1),
@@ -77,8 +80,14 @@ fn rounded_down_ms(limit_s: f64) -> String {
 }
 
 /// A period to stay below, with the rate to stay above, both rounded to the safe side.
-fn period_and_rate(limit_s: f64) -> String {
-    format!("{} ({:.0} Hz and more)", rounded_down_ms(limit_s), (1.0 / limit_s).ceil())
+fn longest_period(limit: Option<Limit>) -> String {
+    match limit {
+        Some(Limit::At(limit_s)) => {
+            format!("period up to {} ({:.0} Hz and more)", rounded_down_ms(limit_s), (1.0 / limit_s).ceil())
+        }
+        Some(Limit::Beyond(_)) => "any period".to_owned(),
+        None => "no period is stable with so much delay".to_owned(),
+    }
 }
 
 impl Sampling {
@@ -90,16 +99,13 @@ impl Sampling {
         let state = |stable: bool| if stable { "stable" } else { "UNSTABLE" };
         match &self.budget {
             Some(budget) => {
-                let limit = match budget.period_max_s {
-                    Some(period_s) => format!("period up to {}", period_and_rate(period_s)),
-                    None => "no period is stable with so much delay".to_owned(),
-                };
                 let _ = writeln!(
                     text,
-                    "  [11] {}: {:.1} % of the room used, {} of delay left, {limit}",
+                    "  [11] {}: {:.1} % of the room used, {} of delay left, {}",
                     state(budget.used < 1.0),
                     budget.used * 100.0,
                     rounded_down_ms(budget.delay_margin_s),
+                    longest_period(budget.period_max_s.map(Limit::At)),
                 );
             }
             None => {
@@ -108,10 +114,12 @@ impl Sampling {
         }
         let _ = writeln!(
             text,
-            "  spectral radius {:.5}: {}, {} of delay left",
+            "  spectral radius {:.5}: {}, {}{} of delay left, {}",
             self.radius,
             state(self.radius < 1.0),
-            rounded_down_ms(self.radius_margin_s)
+            if matches!(self.radius_margin, Limit::Beyond(_)) { "more than " } else { "" },
+            rounded_down_ms(self.radius_margin.seconds()),
+            longest_period(self.radius_period),
         );
         match &self.proven {
             Some(proven) => {
@@ -171,7 +179,8 @@ impl Sampling {
             "latency_s": self.latency_s,
             "budget": budget,
             "spectral_radius": self.radius,
-            "spectral_radius_margin_s": self.radius_margin_s,
+            "spectral_radius_margin_s": self.radius_margin.seconds(),
+            "spectral_radius_period_max_s": self.radius_period.map(Limit::seconds),
             "proven_age": proven,
             "hold": {"v": self.held.0, "torque_nm": self.held.1, "limit_s": self.hold_s, "ticks": self.hold_ticks},
             "smallest_w": smallest,

@@ -103,13 +103,19 @@ impl Envelope {
     }
 }
 
-/// All eigenvalues of a symmetric matrix, in no order, by cyclic Jacobi rotations.
+/// All eigenvalues of a symmetric matrix, in no order.
+#[must_use]
+pub fn symmetric_eigenvalues<const N: usize>(matrix: &Matrix<N>) -> [f64; N] {
+    symmetric_eigen(matrix).0
+}
+
+/// Eigenvalues of a symmetric matrix, in no order, with their eigenvectors as columns, by cyclic Jacobi rotations.
 ///
 /// Own code, since library eigenvalues may be computed with instructions picked at run time. Sixteen sweeps are twice
 /// what a 7 × 7 matrix needs to reach rounding.
 #[must_use]
-pub fn symmetric_eigenvalues<const N: usize>(matrix: &Matrix<N>) -> [f64; N] {
-    let mut m = *matrix;
+pub fn symmetric_eigen<const N: usize>(matrix: &Matrix<N>) -> ([f64; N], Matrix<N>) {
+    let (mut m, mut vectors) = (*matrix, Matrix::<N>::identity());
     for _ in 0..16 {
         for p in 0..N {
             for q in p + 1..N {
@@ -130,8 +136,13 @@ pub fn symmetric_eigenvalues<const N: usize>(matrix: &Matrix<N>) -> [f64; N] {
                     m[(p, k)] = cos * upper - sin * lower;
                     m[(q, k)] = sin * upper + cos * lower;
                 }
+                for k in 0..N {
+                    let (left, right) = (vectors[(k, p)], vectors[(k, q)]);
+                    vectors[(k, p)] = cos * left - sin * right;
+                    vectors[(k, q)] = sin * left + cos * right;
+                }
             }
         }
     }
-    core::array::from_fn(|i| m[(i, i)])
+    (core::array::from_fn(|i| m[(i, i)]), vectors)
 }

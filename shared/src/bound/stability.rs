@@ -11,7 +11,10 @@ use super::envelope::Envelope;
 pub mod boundary;
 pub mod radius;
 
+mod circle;
+#[cfg(test)]
 mod dense;
+mod modal;
 
 pub use self::boundary::critical_rate;
 use self::boundary::{critical_rate_with_jitter, longest_period_s};

@@ -1,6 +1,6 @@
 //! The boundary against the spectral radius, and the figures that the documentation quotes.
 
-use super::radius::{delay_margin_s, spectral_radius, worst_radius};
+use super::radius::{SampledLoop, spectral_radius, worst_radius};
 use super::*;
 use crate::bound::certificate::certify;
 use crate::bound::testing::{assume, close, default_start, unit_chain};
@@ -76,7 +76,7 @@ fn computed_torque_has_no_single_rate_but_a_delay_margin() {
     let cert = certify(LawKind::Ctc, &assume(&plant, 0.0, 0.0), &Gains::of(LawKind::Ctc), None).certificate;
     assert!(sampling_budget(&cert, 1e-3, 0.0).is_none());
     let (loop_law, h) = (law(LawKind::Ctc, 0.0, 25.0, 10.0), 5e-3);
-    let margin = delay_margin_s(&loop_law, &plant, h, 1e-3);
+    let margin = SampledLoop::new(&loop_law, &plant, 4).delay_margin(h, 1e-3).seconds();
     assert!(margin > h, "{margin}");
     assert!(worst_radius(&loop_law, &plant, h, 1e-3 + margin * 0.99, 4) < 1.0);
     assert!(worst_radius(&loop_law, &plant, h, 1e-3 + margin * 1.01, 4) > 1.0);
