@@ -335,6 +335,8 @@ fn an_uncertified_loop_runs_away_by_the_level_of_its_scenario_and_a_sound_one_do
     assert_eq!(judge_summary(&summary).headline(), Headline::NotCertified);
     let (_, summary) = records(&scenario(&[uncertified, "loop.rate=200Hz"]));
     assert_eq!(judge_summary(&summary).headline(), Headline::Diverged);
+}
+
 #[test]
 fn a_delay_that_jumps_shakes_a_loop_that_is_calm_with_the_longest_of_its_delays_all_the_time() {
     // a h = 1.5, a d = 0.9: within [11], beyond the rule for jitter [14].
