@@ -267,7 +267,7 @@ fn numbers(record: &TickRecord) -> impl Iterator<Item = f64> {
 
 #[test]
 fn a_loop_that_runs_away_is_stopped_and_diverged_whatever_made_it_run_and_no_record_holds_a_value_that_is_not_finite() {
-    let glitch = "[[fault]]\nkind = \"glitch\"\nvalue_nm = 1e300\nat = 40\n";
+    let glitch = "[[fault]]\nkind = \"glitch\"\nvalue_nm = 1e12\nat = 40\n";
     let noisy = "[plant.noise]\nq_rad = 1e-3\nv_rad_s = 1e-2\n";
     for (settings, toml) in [
         (vec!["loop.rate=200Hz"], ""),
@@ -280,7 +280,10 @@ fn a_loop_that_runs_away_is_stopped_and_diverged_whatever_made_it_run_and_no_rec
         // Without a limit of the speed what is not finite is left, and that is enough.
         (vec!["loop.rate=200Hz", "plant.speed_limit=inf"], ""),
     ] {
-        let (records, summary) = records(&with_toml(&settings, toml));
+        let mut scenario = with_toml(&settings, toml);
+        // More than a scenario may ask for: a controller of one's own may give it.
+        scenario.fault.iter_mut().for_each(|fault| fault.value_nm = fault.value_nm.map(|_| 1e300));
+        let (records, summary) = self::records(&scenario);
         for record in &records {
             let bad = numbers(record).find(|number| !number.is_finite());
             assert_eq!(bad, None, "{settings:?}: tick {}", record.tick);

@@ -79,7 +79,8 @@ fn in_real_time_a_note_that_nobody_reads_ends_no_loop() {
     let text = std::fs::read_to_string(&out).expect("the document");
     let document: serde_json::Value = serde_json::from_str(&text).expect("one JSON document");
     assert_eq!(document["supervision"]["end"], "done", "exit code {code:?}: {}", document["supervision"]);
-    assert_eq!(document["supervision"]["deaths"].as_array().map(Vec::len), Some(1), "{}", document["supervision"]);
+    let deaths = document["supervision"]["deaths"].as_array().map_or(0, Vec::len);
+    assert!(deaths > 0, "there was something to say: {}", document["supervision"]);
     case.assert_nothing_left();
 }
 
