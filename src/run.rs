@@ -69,14 +69,22 @@ pub fn run(args: &RunArgs) -> anyhow::Result<Exit> {
     let asked = args.out.as_deref().map(|folder| Asked::for_run(folder, &scenario)).transpose()?;
     // From here on a signal ends the group in order.
     let stop = Stop::install().context("signals")?;
+    match (run_until(&stop, args, &scenario, asked), stop.requested()) {
+        // A group that a signal met in the middle of its start fails in many ways; the reason is the signal.
+        (Err(error), Some(exit)) if Exit::of(&error) != Exit::Usage => Ok(exit),
+        (ended, _) => ended,
+    }
+}
+
+fn run_until(stop: &Stop, args: &RunArgs, scenario: &Scenario, asked: Option<Asked>) -> anyhow::Result<Exit> {
     if let Some(parent) = args.parent {
         die_with_parent(parent)?;
     }
     let options = Options {
         group: args.group.clone().unwrap_or_else(|| format!("lb-{}", std::process::id())),
-        progress: progress(args, &scenario).context("progress")?,
+        progress: progress(args, scenario).context("progress")?,
         quiet: args.quiet || args.tui,
-        stop: &stop,
+        stop,
     };
     let quiet = options.quiet;
     if !quiet {
@@ -84,7 +92,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<Exit> {
     }
     let server = args.foxglove.as_ref().map(|address| Guest::server(&options.group, address, quiet)).transpose()?;
     let view = args.tui.then(|| Guest::view(&options.group)).transpose()?;
-    let outcome = supervise::supervise(&scenario, &options, asked)?;
+    let outcome = supervise::supervise(scenario, &options, asked)?;
     [view, server].into_iter().flatten().for_each(Guest::leave);
     report(args, outcome)
 }

@@ -2,8 +2,8 @@
 //! and period that follow from it.
 //!
 //! With d = (j + f) h the state of the loop is (q, q̇) and the j + 1 torques under way; its eigenvalues are the roots of
-//! an N × N determinant ([`super::modal`]), and roots outside of a circle are counted without computing any
-//! ([`super::circle`]). So the cost hardly depends on the length of the delay, or on the rate.
+//! an N × N determinant (`modal`), and roots outside of a circle are counted without computing any
+//! (`circle`). So the cost hardly depends on the length of the delay, or on the rate.
 
 use core::f64::consts::PI;
 
