@@ -21,8 +21,7 @@ fn findings(record: &Record, summary: Option<&Summary>, stopped: Option<Exit>) -
         None => {}
     }
     if let Some(death) = record.unrecovered() {
-        let reason = format!("{} {}: {} in tick {}, not recovered", death.role, death.id, death.how, death.tick);
-        found.push((Headline::RoleLost, reason));
+        found.push((Headline::RoleLost, death.to_string()));
     }
     let by_its_user = stopped.is_some() || record.end == "interrupted" || record.end == "terminated";
     let Some(summary) = summary else {

@@ -172,9 +172,7 @@ fn errors(record: &Record, summary: Option<&Summary>) -> Vec<String> {
         errors.push(format!("the group ended early: {}", record.end));
     }
     // Those that were recovered were noted when it happened.
-    for death in record.deaths.iter().filter(|d| !d.recovered) {
-        errors.push(format!("{} {}: {} in tick {}, not recovered", death.role, death.id, death.how, death.tick));
-    }
+    errors.extend(record.deaths.iter().filter(|death| !death.recovered).map(ToString::to_string));
     let Some(summary) = summary else {
         errors.push("the monitor left no summary".to_owned());
         return errors;

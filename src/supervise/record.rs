@@ -59,6 +59,14 @@ pub struct Death {
     pub recovered: bool,
 }
 
+impl std::fmt::Display for Death {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { role, id, how, tick, .. } = self;
+        let fate = if self.recovered { "recovered" } else { "not recovered" };
+        write!(f, "{role} {id}: {how} in tick {tick}, {fate}")
+    }
+}
+
 impl Record {
     /// Whether someone died whose place was not taken.
     #[must_use]
