@@ -16,8 +16,8 @@ use loopbound_shared::system;
 
 use crate::exit::Exit;
 use crate::{
-    bound, check, clean, compare, doctor, fault, keeper, model, pages, prepare, ps, replay, report, roles, run, study,
-    swap,
+    bound, check, clean, compare, doctor, fault, keeper, model, needs, pages, prepare, ps, replay, report, roles, run,
+    study, swap,
 };
 
 /// kHz control loops split across processes over shared memory: latency measured to the nanosecond, and a Lyapunov
@@ -233,6 +233,9 @@ pub struct MonitorArgs {
     /// How long to watch (such as 5s); default until the group ends.
     #[arg(long, value_parser = parse_duration, value_name = "TIME")]
     pub duration: Option<u64>,
+    /// Errors alone, no notes.
+    #[arg(long, hide = true)]
+    pub quiet: bool,
     /// The launcher's own monitor: it grants credit in lockstep and leaves its summary to the launcher.
     #[arg(long, hide = true)]
     pub managed: bool,
@@ -327,6 +330,7 @@ pub fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => return not_parsed(&error).into(),
     };
+    needs::raise_limits();
     let printing = prints_its_result(&cli.command);
     let exit = dispatch(cli.command).unwrap_or_else(|error| {
         say::err!("loopbound: {}", quote::lines(&one_line(&error)));

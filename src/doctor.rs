@@ -5,6 +5,7 @@
 //! Where a cost carries figures, they were measured on one machine (a 2-core KVM guest, kernel 6.18, 250 Hz tick), and
 //! are said to be: they show the order of magnitude, not what another machine will do.
 
+mod cgroup;
 mod hardware;
 mod kernel;
 mod live;
@@ -98,6 +99,8 @@ pub fn report(root: &Path, live: &Live) -> Report {
     let tree = Tree::new(root);
     let mut findings = vec![
         privileges::sched_fifo(&tree, live),
+        cgroup::rt_budget(&tree, live),
+        cgroup::cpu_quota(&tree),
         privileges::dma_latency(&tree),
         privileges::memory_lock(&tree, live),
         privileges::shared_memory(&tree),

@@ -61,11 +61,12 @@ impl Guest {
         address.probe().map_err(|e| Failure::usage(e.to_string()))?;
         let server = command(group, SERVER_ID)?
             .args(["--foxglove", &address.to_string()])
+            // Its errors are said in any case.
+            .args(quiet.then_some("--quiet"))
             // The terminal's Ctrl-C is the launcher's; this process ends with the group.
             .process_group(0)
             .stdin(Stdio::null())
             .stdout(Stdio::null())
-            .stderr(if quiet { Stdio::null() } else { Stdio::inherit() })
             .spawn()
             .context("the server for Foxglove")?;
         Self::wait_for(group, server, |_| ())

@@ -17,6 +17,7 @@ pub mod guests;
 pub mod inprocess;
 pub mod keeper;
 pub mod model;
+pub mod needs;
 pub mod pages;
 pub mod prepare;
 pub mod processes;

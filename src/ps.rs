@@ -7,7 +7,7 @@ use loopbound_shared::realtime::ProcessHandle;
 use loopbound_shared::say;
 
 use crate::exit::Exit;
-use crate::supervise::{ROSTER_FILE, Roster};
+use crate::supervise::{ROSTER_FILE, Roster, pid_namespace};
 
 /// Prints all groups with a living member, as a table or as one JSON document.
 ///
@@ -29,9 +29,13 @@ fn roster_of(name: &str) -> Roster {
     let bytes = file_of(name, ROSTER_FILE).ok().and_then(|file| std::fs::read(file).ok()).unwrap_or_default();
     let mut roster: Roster = serde_json::from_slice(&bytes).unwrap_or_default();
     name.clone_into(&mut roster.group);
+    // Seen from another PID namespace its numbers mean nobody, or others.
+    let visible = roster.pid_namespace.is_none() || roster.pid_namespace == pid_namespace();
     for process in &mut roster.processes {
         let over = ["dead", "ended"].contains(&process.state.as_str());
-        if !over && ProcessHandle::open(process.pid).is_err_and(|e| e.raw_os_error() == Some(NO_SUCH_PROCESS)) {
+        if !over && !visible {
+            "unknown".clone_into(&mut process.state);
+        } else if !over && ProcessHandle::open(process.pid).is_err_and(|e| e.raw_os_error() == Some(NO_SUCH_PROCESS)) {
             "dead".clone_into(&mut process.state);
         }
     }
@@ -80,11 +84,26 @@ mod tests {
         child.wait().unwrap();
         let written = Roster {
             group: name.clone(),
+            pid_namespace: None,
             processes: vec![entry(std::process::id(), "active"), entry(gone, "standby")],
         };
         std::fs::write(group.file(ROSTER_FILE), serde_json::to_vec(&written).unwrap()).unwrap();
         let states: Vec<String> = roster_of(&name).processes.into_iter().map(|p| p.state).collect();
         assert_eq!(states, ["active", "dead"]);
+    }
+
+    #[test]
+    fn what_runs_in_another_pid_namespace_is_unknown_and_not_dead() {
+        let name = format!("test-ps-ns-{}", std::process::id());
+        let group = Group::create(&name).unwrap();
+        let written = Roster {
+            group: name.clone(),
+            pid_namespace: Some("pid:[1]".to_owned()),
+            processes: vec![entry(4_000_000, "active"), entry(4_000_001, "ended")],
+        };
+        std::fs::write(group.file(ROSTER_FILE), serde_json::to_vec(&written).unwrap()).unwrap();
+        let states: Vec<String> = roster_of(&name).processes.into_iter().map(|p| p.state).collect();
+        assert_eq!(states, ["unknown", "ended"]);
     }
 
     #[test]

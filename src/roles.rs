@@ -9,6 +9,7 @@ use loopbound_shared::role::{RoleArgs, RoleError};
 
 use crate::cli;
 use crate::exit::Exit;
+use crate::needs;
 use crate::signals;
 
 /// Runs a role to its end.
@@ -39,6 +40,9 @@ fn begin(parent: Option<u32>) -> anyhow::Result<&'static AtomicBool> {
 /// The monitor's, or the system's.
 pub fn monitor(args: cli::MonitorArgs) -> anyhow::Result<Exit> {
     let stop = begin(args.parent)?;
+    if !args.managed {
+        needs::check_descriptors(0)?;
+    }
     let tui = args.tui;
     let args = loopbound_monitor::MonitorArgs {
         group: args.group,
@@ -47,6 +51,7 @@ pub fn monitor(args: cli::MonitorArgs) -> anyhow::Result<Exit> {
         parent: args.parent,
         out: args.out,
         json: args.json,
+        quiet: args.quiet,
         managed: args.managed,
         duration_ns: args.duration,
         foxglove: args.foxglove,

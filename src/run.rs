@@ -19,6 +19,7 @@ use crate::cli::ScenarioArgs;
 use crate::conclusion;
 use crate::exit::{Exit, Failure};
 use crate::guests::Guest;
+use crate::needs;
 use crate::progress::Progress;
 use crate::results::{self, Asked};
 use crate::signals::Stop;
@@ -67,6 +68,7 @@ pub struct RunArgs {
 pub fn run(args: &RunArgs) -> anyhow::Result<Exit> {
     let scenario = scenario(args)?;
     let asked = args.out.as_deref().map(|folder| Asked::for_run(folder, &scenario)).transpose()?;
+    needs::check(&scenario)?;
     // From here on a signal ends the group in order.
     let stop = Stop::install().context("signals")?;
     match (run_until(&stop, args, &scenario, asked), stop.requested()) {
@@ -88,6 +90,7 @@ fn run_until(stop: &Stop, args: &RunArgs, scenario: &Scenario, asked: Option<Ask
     };
     let quiet = options.quiet;
     if !quiet {
+        needs::notes(scenario).into_iter().for_each(|note| options.progress.note(note));
         scenario.in_vain().iter().for_each(|line| say::err!("loopbound: {line}"));
     }
     let server = args.foxglove.as_ref().map(|address| Guest::server(&options.group, address, quiet)).transpose()?;

@@ -27,7 +27,7 @@ use loopbound_shared::cast;
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::{Bell, ControlBlock};
 use loopbound_shared::event::{self, CommandKind, Phase, Refusal, ReplyKind};
-use loopbound_shared::group::{Group, room};
+use loopbound_shared::group::Group;
 use loopbound_shared::ports::{CommandClient, Node, Subscriber};
 use loopbound_shared::realtime::wait_any_end;
 use loopbound_shared::sample::{Announce, Command, Reply, State, TickRecord, Torque};
@@ -48,13 +48,12 @@ use keeper::Keeper;
 use record::privileges;
 pub use record::{Death, ProcessRecord, Record};
 use roster::RosterFile;
+pub(crate) use roster::pid_namespace;
 pub use roster::{Entry, FILE as ROSTER_FILE, Roster};
 use succession::{Due, Retirement};
 use swapping::Swapping;
 use watchdog::Watchdog;
 
-/// Monitors besides the launcher's own that there is room for at the start.
-const GUESTS: u64 = 2;
 /// Time for every process to become ready.
 const READY_NS: u64 = 10_000_000_000;
 /// Interval between two looks at a running group.
@@ -187,8 +186,6 @@ pub fn supervise(scenario: &Scenario, options: &Options<'_>, asked: Option<Asked
 
 impl<'a> Supervisor<'a> {
     fn create(scenario: &'a Scenario, options: &'a Options<'a>) -> anyhow::Result<Self> {
-        let controllers = cast::controllers(scenario).len() as u64;
-        room::require(room::needed(controllers, GUESTS))?;
         let group = Group::create(&options.group)?;
         prepare::write_scenario(&group, scenario)?;
         let block = ControlBlock::create(&group.file("bell")).context("the group's control block")?;

@@ -71,6 +71,8 @@ pub struct MonitorArgs {
     pub out: Option<PathBuf>,
     /// Print JSON instead of the report (only when not managed).
     pub json: bool,
+    /// Say errors alone.
+    pub quiet: bool,
     /// Started by the launcher: grants credit, leaves `summary.json` in the group's folder, prints nothing.
     pub managed: bool,
     /// Leave after this time.
@@ -501,7 +503,9 @@ fn serve(address: &Address, args: &MonitorArgs, joined: &Joined) -> Result<Live,
     let lockstep = scenario.loop_.mode == Mode::Lockstep;
     let live = Live::start(address, &about(args, joined)?, scenario.period_ns(), lockstep).map_err(refused)?;
     let whom = if address.is_loopback() { "this machine" } else { "every machine that can reach this one" };
-    say::err!("loopbound: group {} is live for Foxglove on {whom} at {}", args.group, live.url());
+    if !args.quiet {
+        say::err!("loopbound: group {} is live for Foxglove on {whom} at {}", args.group, live.url());
+    }
     Ok(live)
 }
 

@@ -14,25 +14,40 @@ fn core_count(tree: &Tree) -> u32 {
     })
 }
 
+/// The cores that this process may use: a cpuset or a mask may leave fewer than there are.
+fn allowed_count(tree: &Tree) -> Option<u32> {
+    let status = tree.text("proc/self/status")?;
+    count_cores(status.lines().find_map(|line| line.strip_prefix("Cpus_allowed_list:"))?)
+}
+
 pub(super) fn cores(tree: &Tree) -> Finding {
     let key = "cores";
     let mend = "a machine, or a virtual machine, with four cores or more";
-    match core_count(tree) {
+    let present = core_count(tree);
+    let allowed = allowed_count(tree).unwrap_or(present);
+    let found =
+        if allowed < present { format!("{allowed} of {present} may be used here") } else { allowed.to_string() };
+    let mend = if allowed < present {
+        "docker run --cpuset-cpus=…; taskset; systemd: AllowedCPUs=: more cores"
+    } else {
+        mend
+    };
+    match allowed {
         1 => Finding::new(
             key,
             Status::Bad,
-            "1",
+            found,
             "plant, controller and everything else take turns; nothing may spin, and each exchange is a switch",
             mend,
         ),
-        count @ 2..=3 => Finding::new(
+        2..=3 => Finding::new(
             key,
             Status::Warn,
-            count.to_string(),
+            found,
             "the plant and a controller fill two cores; the rest of the system runs in the gaps they leave",
             mend,
         ),
-        count => Finding::good(key, count.to_string()),
+        _ => Finding::good(key, found),
     }
 }
 

@@ -7,16 +7,17 @@ use loopbound_shared::realtime::{Outcome, Step};
 
 use super::live::Live;
 use super::tree::Tree;
-use super::{Finding, Status};
+use super::{Finding, Status, cgroup};
 
 const MIB: u64 = 1 << 20;
 
 pub(super) fn sched_fifo(tree: &Tree, live: &Live) -> Finding {
     let key = "sched_fifo";
-    let mend = if tree.is_container() {
-        "docker run --cap-add=SYS_NICE --ulimit rtprio=99 …  # this is a container"
-    } else {
-        "sudo prlimit --rtprio=99 --pid $$  # this shell; for good: /etc/security/limits.d"
+    let budget = cgroup::forbids_fifo(tree, live);
+    let mend = match &budget {
+        Some((_, mend)) => mend,
+        None if tree.is_container() => "docker run --cap-add=SYS_NICE --ulimit rtprio=99 …  # this is a container",
+        None => "sudo prlimit --rtprio=99 --pid $$  # this shell; for good: /etc/security/limits.d",
     };
     match live.fifo {
         Outcome::Had if live.fifo_priority >= 80 => Finding::good(key, "granted"),
@@ -69,7 +70,7 @@ pub(super) fn memory_lock(tree: &Tree, live: &Live) -> Finding {
 
 pub(super) fn shared_memory(tree: &Tree) -> Finding {
     let key = "shared_memory";
-    let cost = "all samples of a group live in /dev/shm; where it is full, a process ends by SIGBUS or can't start";
+    let cost = "all samples of a group live in /dev/shm; where it is too small or full, nothing can start or join";
     let Ok(stat) = rustix::fs::statvfs(tree.path("dev/shm")) else {
         return Finding::new(key, Status::Bad, "no /dev/shm", cost, "sudo mount -t tmpfs -o size=1G tmpfs /dev/shm");
     };

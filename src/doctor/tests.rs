@@ -87,6 +87,7 @@ fn each_shortcoming_in_the_files_is_found_by_its_own_key() {
         ("idle_states", &[("sys/devices/system/cpu/cpu0/cpuidle/state3/latency", "133\n")], Status::Warn),
         ("cores", &[("sys/devices/system/cpu/online", "0\n")], Status::Bad),
         ("cores", &[("sys/devices/system/cpu/online", "0-1\n")], Status::Warn),
+        ("cores", &[("proc/self/status", "Name:\tx\nCpus_allowed_list:\t2\n")], Status::Bad),
         ("load", &[("proc/loadavg", "5.00 1 1 1/1 1\n")], Status::Warn),
         ("load", &[("proc/loadavg", "9.00 1 1 1/1 1\n")], Status::Bad),
         ("virtualised", &[("proc/cpuinfo", "flags\t: fpu hypervisor\n")], Status::Warn),
@@ -139,7 +140,7 @@ fn what_was_refused_to_this_user_is_bad_and_names_the_command() {
     assert!(text.contains("mend:  sudo prlimit --rtprio=99 --pid $$"), "{text}");
     assert!(text.contains("limited to 8192 KiB"), "{text}");
     assert!(text.contains("longest 3000 us"), "{text}");
-    assert!(text.ends_with("2 bad, 1 to mend if you can, 0 unknown, 16 good\n"), "{text}");
+    assert!(text.ends_with("2 bad, 1 to mend if you can, 0 unknown, 18 good\n"), "{text}");
 }
 
 #[test]
@@ -209,6 +210,12 @@ fn the_text_keeps_to_its_width_for_every_finding_at_its_worst() {
     write(
         root.path(),
         &[
+            (".dockerenv", ""),
+            ("proc/self/cgroup", "0::/\n1:cpu:/\n"),
+            ("proc/self/mountinfo", "1 0 0:1 / /sys/fs/cgroup/cpu rw - cgroup cgroup rw,cpu\n"),
+            ("sys/fs/cgroup/cpu/cpu.rt_runtime_us", "0"),
+            ("sys/fs/cgroup/cpu/cpu.cfs_quota_us", "1000"),
+            ("sys/fs/cgroup/cpu/cpu.cfs_period_us", "100000"),
             ("proc/cpuinfo", "flags : hypervisor\n"),
             ("proc/version", "PREEMPT_DYNAMIC"),
             ("proc/cmdline", "preempt=full skew_tick=1"),
@@ -238,13 +245,13 @@ fn the_json_form_has_stable_keys() {
     assert_eq!(keys(&json), ["findings", "kernel", "taken_at", "version", "worst"]);
     assert_eq!(keys(&json["findings"][0]), ["cost", "found", "key", "mend", "status"]);
     assert_eq!(json["worst"], "good");
-    assert_eq!(json["findings"].as_array().unwrap().len(), 19);
+    assert_eq!(json["findings"].as_array().unwrap().len(), 21);
 }
 
 #[test]
 fn this_machine_can_be_examined() {
     let report = examine();
-    assert_eq!(report.findings.len(), 19);
+    assert_eq!(report.findings.len(), 21);
     assert!(report.findings.is_sorted_by_key(|finding| finding.status));
     let stalls = finding(&report, "stalls");
     let spun_ms: u64 = stalls.found.split(' ').nth(2).unwrap().parse().unwrap();

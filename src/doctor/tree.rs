@@ -63,7 +63,9 @@ impl Tree {
 
     /// Whether the usual container engines have left their mark.
     pub(super) fn is_container(&self) -> bool {
-        [".dockerenv", "run/.containerenv"].iter().any(|path| self.path(path).exists())
+        [".dockerenv", "run/.containerenv", "run/systemd/container", "var/run/secrets/kubernetes.io"]
+            .iter()
+            .any(|path| self.path(path).exists())
     }
 
     /// A value on the kernel's command line: of `name=value`.

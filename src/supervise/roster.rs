@@ -18,6 +18,9 @@ pub const FILE: &str = "processes.json";
 pub struct Roster {
     /// Its name.
     pub group: String,
+    /// The PID namespace that the numbers are of, as the kernel names it; none where it can't be told.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pid_namespace: Option<String>,
     /// The launcher and its children.
     pub processes: Vec<Entry>,
 }
@@ -73,7 +76,12 @@ pub(super) fn roster(group: &str, children: &[Child], active: u32, newest: Optio
         restarts: child.restarts,
     };
     let processes = std::iter::once(own("ready")).chain(children.iter().map(entry)).collect();
-    Roster { group: group.to_owned(), processes }
+    Roster { group: group.to_owned(), pid_namespace: pid_namespace(), processes }
+}
+
+/// The PID namespace of this process.
+pub(crate) fn pid_namespace() -> Option<String> {
+    Some(std::fs::read_link("/proc/self/ns/pid").ok()?.to_string_lossy().into_owned())
 }
 
 fn state(child: &Child, active: u32, newest: Option<&TickRecord>) -> &'static str {

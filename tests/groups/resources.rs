@@ -62,3 +62,82 @@ wait $run; echo run $?";
     assert_eq!(document["supervision"]["deaths"].as_array().map(Vec::len), Some(0), "{}", document["supervision"]);
     assert_eq!(document["ended"], "last record");
 }
+
+#[test]
+fn too_few_descriptors_are_named_with_the_remedy_and_a_soft_limit_is_raised() {
+    let case = Case::new("few-files");
+    let with_limit = |limit: &str, also: &str| {
+        let run = format!("ulimit {limit} && exec \"$0\" run --mode lockstep --duration 60ms -q --group \"$1\" {also}");
+        let plain = case.command(&[]);
+        let mut command = Command::new("sh");
+        command.args(["-c", &run]).arg(plain.get_program()).arg(&case.group);
+        command.envs(plain.get_envs().filter_map(|(key, value)| Some((key, value?))));
+        case.start_command(command).wait()
+    };
+    for (limit, also) in
+        [("-n 12", ""), ("-n 20", ""), ("-n 40", ""), ("-n 80", ""), ("-n 120", "--set controller.standby=6")]
+    {
+        let ended = with_limit(limit, also);
+        assert_eq!(ended.code, Some(70), "{limit}: {ended:?}");
+        assert!(ended.err.contains("open files") && ended.err.contains("ulimit -n"), "{limit}: {ended:?}");
+        assert_eq!(ended.err.lines().count(), 1, "{limit}: {ended:?}");
+        case.assert_nothing_left();
+    }
+    // As many as are asked for are enough, for the largest group too; and a soft limit is nobody's want.
+    for (limit, also) in [("-n 92", ""), ("-n 128", "--set controller.standby=6"), ("-S -n 20", "")] {
+        let ended = with_limit(limit, also);
+        assert_eq!(ended.code, Some(0), "{limit}: {ended:?}");
+        case.assert_nothing_left();
+    }
+}
+
+#[test]
+fn a_core_that_is_not_there_is_named_and_the_run_goes_on() {
+    let case = Case::new("no-core");
+    let ended = case.run("[loop]\nduration = \"100ms\"\n[realtime]\ncores = [0, 1023]\n", &[]).wait();
+    assert!(ended.err.contains("core 1023") && ended.err.contains("caches"), "{ended:?}");
+    assert_eq!(ended.json()["supervision"]["end"], "done");
+    case.assert_nothing_left();
+}
+
+#[test]
+fn without_proc_a_run_is_refused_with_the_remedy() {
+    let case = Case::new("no-proc");
+    let hidden = |lines: &str| {
+        let lines = format!("mount -t tmpfs tmpfs /proc && {lines}");
+        let plain = case.command(&[]);
+        let mut command = Command::new("unshare");
+        command.args(["-m", "-p", "-f", "sh", "-c", &lines]).arg(plain.get_program());
+        command.envs(plain.get_envs().filter_map(|(key, value)| Some((key, value?))));
+        command
+    };
+    if !hidden("true").output().is_ok_and(|probe| probe.status.success()) {
+        not_tested("a host without proc", "only root with namespaces can hide it");
+        return;
+    }
+    let ended = case.start_command(hidden("exec \"$0\" run --mode lockstep --duration 60ms -q")).wait();
+    assert_eq!(ended.code, Some(70), "{ended:?}");
+    assert!(ended.err.contains("mount -t proc"), "{ended:?}");
+    case.assert_nothing_left();
+}
+
+#[test]
+fn from_another_pid_namespace_a_running_group_is_unknown_and_not_dead() {
+    let case = Case::new("other-pids");
+    let mut running = case.run("[loop]\nduration = \"2s\"\n", &[]);
+    running.wait_until_active();
+    let plain = case.command(&["ps"]);
+    let mut command = Command::new("unshare");
+    command.args(["-p", "-f", "--mount-proc"]).arg(plain.get_program()).args(plain.get_args());
+    command.envs(plain.get_envs().filter_map(|(key, value)| Some((key, value?))));
+    let seen = case.start_command(command).wait();
+    if seen.code == Some(0) {
+        let line = seen.out.lines().find(|line| line.starts_with(&case.group) && line.contains("plant"));
+        assert!(line.is_some_and(|line| line.contains("unknown")), "{seen:?}");
+        assert!(!seen.out.contains("dead"), "{seen:?}");
+    } else {
+        not_tested("ps in another PID namespace", "only root can make one");
+    }
+    running.wait();
+    case.assert_nothing_left();
+}

@@ -58,7 +58,7 @@ impl Claim {
         if fs::metadata(path).is_ok_and(|about| !about.is_dir()) {
             return Err(refuse(&"it is a file, allowed: a folder"));
         }
-        let made = make(path).map_err(|error| refuse(&error))?;
+        let made = make(path).map_err(|error| refuse(&format!("it can't be made: {error}")))?;
         let open = || -> io::Result<(PathBuf, File)> {
             let path = path.canonicalize()?;
             let folder = rustix::fs::open(&path, OFlags::RDONLY | OFlags::DIRECTORY | OFlags::CLOEXEC, Mode::empty())?;

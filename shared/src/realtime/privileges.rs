@@ -77,7 +77,9 @@ impl Step {
         match self {
             Self::Affinity => "name a core of `taskset -cp $$` in realtime.cores",
             Self::RunawayGuard => "`ulimit -R unlimited` in the shell that starts the group",
-            Self::SchedFifo => "`sudo prlimit --rtprio=99 --pid $$`, or run as root",
+            Self::SchedFifo => {
+                "`sudo prlimit --rtprio=99 --pid $$`, or run as root; if root is refused too, see `loopbound doctor`"
+            }
             Self::LockMemory => "`sudo prlimit --memlock=unlimited --pid $$`, or run as root",
             Self::PrefaultStack => "`ulimit -s 8192` in the shell that starts the group",
             Self::PrefaultShared => "a kernel from 5.14 on and room in /dev/shm (`df -h /dev/shm`)",

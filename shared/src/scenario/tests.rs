@@ -224,6 +224,7 @@ fn values_out_of_their_limits_are_refused_with_key_found_and_allowed() {
         ("[reference]\nkind = 'quintic'\nduration = '1s'", "`reference.to_rad`: found nothing"),
         ("[reference]\nradius_m = 1", "`reference.radius_m`: found a value, allowed: none with kind \"sine\""),
         ("[realtime]\npriority = 99", "`realtime.priority`: found 99"),
+        ("[realtime]\ncores = [0, 99999]", "`realtime.cores[1]`: found 99999, allowed: 0 to 1023"),
         ("[realtime]\ncores = [1, 1]", "`realtime.cores[1]`: found 1, allowed: each core once"),
         ("[supervisor]\nplant = 'restart'", "`supervisor.plant`: found restart, allowed: end"),
         (

@@ -135,6 +135,8 @@ fn check_operation(scenario: &Scenario) -> Result<(), ScenarioError> {
     if let super::Cores::List(cores) = &scenario.realtime.cores {
         require(!cores.is_empty(), "realtime.cores", "[]", "\"auto\", or at least one core")?;
         for (index, core) in cores.iter().enumerate() {
+            let most = rustix::thread::CpuSet::MAX_CPU - 1;
+            require(*core <= most, format_args!("realtime.cores[{index}]"), core, format_args!("0 to {most}"))?;
             let new = !cores[..index].contains(core);
             require(new, format_args!("realtime.cores[{index}]"), core, "each core once")?;
         }

@@ -108,7 +108,7 @@ mod tests {
     fn a_process_that_spins_takes_about_what_the_clock_says_and_one_that_is_gone_counts_nothing() {
         let entry = |role: &str, pid| Entry { role: role.into(), id: 1, pid, state: "ready".into(), restarts: 0 };
         let processes = vec![entry("plant", std::process::id()), entry("controller", u32::MAX)];
-        let roster = Roster { group: "g".into(), processes };
+        let roster = Roster { group: "g".into(), pid_namespace: None, processes };
         let first = Reading::take(&roster);
         assert!(!first.is_of_all(&roster), "one of them is gone");
         clock::spin_until_ns(clock::now_ns() + 50_000_000);
