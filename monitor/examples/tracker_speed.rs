@@ -77,19 +77,11 @@ fn records(scenario: &Scenario) -> Result<Vec<TickRecord>, Box<dyn std::error::E
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scenario = Scenario::default();
     let records = records(&scenario)?;
-    let config = Config {
-        period_ns: scenario.period_ns(),
-        late_ns: scenario.loop_.late_ns(),
-        settle_ns: scenario.loop_.settle_ns(),
-        start_up_ns: scenario.loop_.start_up.ns(),
-        finalise_ns: scenario.monitor.finalise.ns(),
-        lockstep: false,
-        speed_limit_rad_s: 100.0,
-    };
+    let config = Config::of(&scenario);
     for (name, judged) in [("without the bound", false), ("with the bound", true)] {
         for round in 1..=ROUNDS {
             let judge = if judged { Some(Judge::new(&scenario)?) } else { None };
-            let mut tracker = Tracker::<3>::new(config, judge);
+            let mut tracker = Tracker::<3>::new(config.clone(), judge);
             let from_ns = now_ns();
             for record in &records {
                 std::hint::black_box(tracker.feed(record));

@@ -338,6 +338,8 @@ pub struct SwapSummary {
     pub to: u32,
     /// `swap` or `failover`.
     pub kind: String,
+    /// Whether the scenario scheduled it (`[[swap]]`); else it was asked for by command, or is a failover.
+    pub scheduled: bool,
     /// Ticks missed from that tick on, for 50 ms.
     pub missed_ticks: u64,
     /// Largest step of one joint at the change, from the torque that acted before to the first one of the new controller, N·m. Of

@@ -1,6 +1,7 @@
 //! The list of changes of the controller in charge: what each cost in ticks, torque and V. The only account of them: the
 //! report, `summary.json` and the answer of `loopbound swap` say what stands here.
 
+use loopbound_shared::cast::Scheduled;
 use loopbound_shared::event::{Decision, HappeningKind, Refusal};
 use loopbound_shared::sample::{Happening, Segment, TickRecord};
 
@@ -24,9 +25,19 @@ pub struct Swaps {
     acting: Option<Segment>,
     /// The last change has not acted yet.
     awaits_torque: bool,
+    /// Swaps of the scenario that have not come up yet.
+    scheduled: Vec<Scheduled>,
+    /// How long after a swap the plant may roll it back.
+    rollback_ticks: u64,
 }
 
 impl Swaps {
+    /// No change yet; the scenario has `scheduled` these, and a swap may be rolled back for so many ticks.
+    #[must_use]
+    pub fn new(scheduled: Vec<Scheduled>, rollback_ticks: u64) -> Self {
+        Self { scheduled, rollback_ticks, ..Self::default() }
+    }
+
     /// Takes the next record; `missed` ticks were missed with it, and V at its start is `v`.
     pub fn feed(&mut self, record: &TickRecord, period_ns: u64, missed: u64, v: Option<f64>) {
         if let (Some(before), Some(swap)) = (self.v_at_change.take(), self.list.last_mut()) {
@@ -59,14 +70,12 @@ impl Swaps {
                 let goes_on = last
                     .is_some_and(|(tick, a, b)| record.tick.saturating_sub(tick) <= 1 && (a, b) == (this.1, this.2));
                 if !goes_on {
+                    self.fail_over(record.tick, from);
                     self.push(record, "failover", from, happening.subject, v);
                 }
             }
             Some(HappeningKind::Rollback) => {
-                if let Some(swap) = self.list.iter_mut().rev().find(|swap| swap.kind == "swap") {
-                    swap.result = "rolled back".to_owned();
-                    swap.reason = Some(refusal(happening.detail).to_owned());
-                }
+                self.roll_back(refusal(happening.detail));
             }
             Some(HappeningKind::SwapRefused) => {
                 self.push(record, "swap", record.active, happening.subject, None);
@@ -81,6 +90,28 @@ impl Swaps {
             }
             _ => {}
         }
+    }
+
+    /// The last swap that was carried out is rolled back.
+    fn roll_back(&mut self, reason: &str) {
+        if let Some(swap) = self.list.iter_mut().rev().find(|swap| swap.kind == "swap" && swap.result == "done") {
+            swap.result = "rolled back".to_owned();
+            swap.reason = Some(reason.to_owned());
+        }
+    }
+
+    /// Controller `from` loses authority: a swap to it that the plant still watches counts as rolled back.
+    fn fail_over(&mut self, tick: u64, from: u32) {
+        let last = self.list.last().filter(|last| last.kind == "swap" && last.result == "done" && last.to == from);
+        if last.is_some_and(|last| tick < last.tick.saturating_add(self.rollback_ticks)) {
+            self.roll_back(Refusal::Deadlines.name());
+        }
+    }
+
+    /// Whether a swap to `to` is one of the scenario's, which come up once each.
+    fn take_scheduled(&mut self, tick: u64, to: u32) -> bool {
+        let at = self.scheduled.iter().position(|of| of.to == to && of.tick <= tick);
+        at.map(|at| self.scheduled.remove(at)).is_some()
     }
 
     /// The step of each joint from the torque that acted before to the first one of the new controller, and the cross-fade.
@@ -123,6 +154,7 @@ impl Swaps {
             self.not_listed += 1;
             return;
         }
+        let scheduled = kind == "swap" && self.take_scheduled(record.tick, to);
         self.v_at_change = v;
         self.awaits_torque = true;
         self.list.push(SwapSummary {
@@ -130,6 +162,7 @@ impl Swaps {
             from,
             to,
             kind: kind.to_owned(),
+            scheduled,
             result: "done".to_owned(),
             ..SwapSummary::default()
         });

@@ -31,6 +31,8 @@ pub(crate) fn config() -> Config {
         finalise_ns: 50_000_000,
         lockstep: false,
         speed_limit_rad_s: 100.0,
+        scheduled_swaps: Vec::new(),
+        rollback_ticks: 50,
     }
 }
 

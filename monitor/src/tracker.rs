@@ -4,6 +4,7 @@
 //! Numbers from a record are never trusted: counts are clamped to their arrays and differences saturate.
 
 use loopbound_shared::bound::diagnose::Verdict;
+use loopbound_shared::cast::{self, Scheduled};
 use loopbound_shared::event::{Acceptance, Decision};
 use loopbound_shared::sample::{
     Announce, Counters, Happening, Links, Receipt, Segment, TickRecord, record_flag, to_vector,
@@ -21,7 +22,7 @@ use crate::swaps::Swaps;
 use crate::verdict::blocks::Blocks;
 
 /// What a tracker must know of the scenario.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Config {
     /// h, ns.
     pub period_ns: u64,
@@ -37,6 +38,10 @@ pub struct Config {
     pub lockstep: bool,
     /// A joint that is faster has run away, rad/s.
     pub speed_limit_rad_s: f64,
+    /// The swaps that the scenario schedules.
+    pub scheduled_swaps: Vec<Scheduled>,
+    /// How long after a swap the plant may roll it back, in ticks.
+    pub rollback_ticks: u64,
 }
 
 impl Config {
@@ -51,6 +56,8 @@ impl Config {
             finalise_ns: scenario.monitor.finalise.ns(),
             lockstep: scenario.loop_.mode == Mode::Lockstep,
             speed_limit_rad_s: scenario.plant.speed_limit,
+            scheduled_swaps: cast::scheduled_swaps(scenario),
+            rollback_ticks: scenario.swap_gate.rollback_for.ns().div_ceil(scenario.period_ns()),
         }
     }
 }
@@ -167,7 +174,6 @@ impl<const N: usize> Tracker<N> {
     #[must_use]
     pub fn new(config: Config, judge: Option<Judge<N>>) -> Self {
         Self {
-            config,
             judge,
             hops: Hops::default(),
             interval: Hops::default(),
@@ -175,12 +181,13 @@ impl<const N: usize> Tracker<N> {
             jitter: JitterStatistics::default(),
             causes: Causes::default(),
             divergence: Divergence::new(config.speed_limit_rad_s),
-            swaps: Swaps::default(),
+            swaps: Swaps::new(config.scheduled_swaps.clone(), config.rollback_ticks),
             events: EventLog::default(),
             errors: Errors::default(),
             counters: Counters::zeroed(),
             seen: Seen::default(),
             first_accepted_plant_ns: None,
+            config,
         }
     }
 

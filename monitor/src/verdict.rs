@@ -16,12 +16,13 @@ pub mod reports;
 
 use std::path::Path;
 
+use loopbound_shared::event::Refusal;
 use loopbound_shared::group::{Group, GroupError};
 use loopbound_shared::headline::Headline;
 use serde::{Deserialize, Serialize};
 
 use crate::cause::words_of;
-use crate::summary::{Summary, Verdict};
+use crate::summary::{Summary, SwapSummary, Verdict};
 
 /// The verdict so far, which the launcher's monitor leaves in the group's folder for the supervisor.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -60,6 +61,19 @@ pub fn judge_summary(summary: &Summary) -> Verdict {
     Verdict::of(headline, found.into_iter().map(|(_, reason)| reason).collect())
 }
 
+/// Whether a swap was refused because a failover had already given its controller authority: it is in charge, as was asked.
+fn failed_over_to(summary: &Summary, swap: &SwapSummary) -> bool {
+    let earlier = |of: &&SwapSummary| of.kind == "failover" && of.to == swap.to && of.tick <= swap.tick;
+    swap.reason.as_deref() == Some(Refusal::AlreadyActive.name()) && summary.swaps.iter().any(|of| earlier(&of))
+}
+
+/// What came of a swap that the scenario schedules, if not the swap.
+fn unlike_scheduled(swap: &SwapSummary) -> String {
+    let SwapSummary { tick, to, result, .. } = swap;
+    let why = swap.reason.as_ref().map_or_else(String::new, |why| format!(": {why}"));
+    format!("the swap to controller {to} that is scheduled for tick {tick} was {result}{why}")
+}
+
 /// All that is to be said of the figures, each with the headline that it makes.
 fn findings(summary: &Summary) -> Vec<(Headline, String)> {
     let bound = &summary.bound;
@@ -78,6 +92,9 @@ fn findings(summary: &Summary) -> Vec<(Headline, String)> {
         Headline::Violated,
         format!("{} ticks broke the bound for another reason than latency", bound.violations_delay_aware),
     );
+    for swap in summary.swaps.iter().filter(|swap| swap.scheduled && swap.result != "done") {
+        find(!failed_over_to(summary, swap), Headline::SwapRefused, unlike_scheduled(swap));
+    }
     let by_latency = bound.verdicts("latency");
     let reason = format!("{by_latency} ticks broke the bound, and latency suffices as the cause");
     find(by_latency > 0, Headline::Late, reason);

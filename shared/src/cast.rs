@@ -31,6 +31,30 @@ pub fn controllers(scenario: &Scenario) -> Vec<Part> {
     parts
 }
 
+/// A swap that the scenario schedules.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Scheduled {
+    /// The first tick of the new controller.
+    pub tick: u64,
+    /// The new controller.
+    pub to: u32,
+}
+
+/// The swaps of a scenario, in the order in which it lists them.
+#[must_use]
+pub fn scheduled_swaps(scenario: &Scenario) -> Vec<Scheduled> {
+    let mut next_id = 2 + scenario.controller.standby;
+    let scheduled = scenario.swap.iter().map(|swap| Scheduled {
+        // Tick 0 is no boundary to switch at, and means "as soon as possible" besides.
+        tick: swap.at.tick(scenario.period_ns()).max(1),
+        to: swap.to.unwrap_or_else(|| {
+            next_id += 1;
+            next_id - 1
+        }),
+    });
+    scheduled.collect()
+}
+
 /// What the plant is told before it starts: its members, the scheduled swaps, and the start itself, which appoints the
 /// first controller and ends the run before `stop_tick`.
 #[must_use]
@@ -38,15 +62,9 @@ pub fn opening_commands(scenario: &Scenario, stop_tick: u64) -> Vec<Command> {
     let command = |kind: CommandKind, controller: u32| Command { kind: kind.code(), controller, ..Command::zeroed() };
     let mut commands: Vec<Command> =
         controllers(scenario).iter().map(|part| command(CommandKind::AddMember, part.id)).collect();
-    let mut next_id = 2 + scenario.controller.standby;
-    for swap in &scenario.swap {
-        let to = swap.to.unwrap_or_else(|| {
-            next_id += 1;
-            next_id - 1
-        });
+    for (swap, Scheduled { tick, to }) in scenario.swap.iter().zip(scheduled_swaps(scenario)) {
         commands.push(Command {
-            // Tick 0 is no boundary to switch at, and means "as soon as possible" besides.
-            tick: swap.at.tick(scenario.period_ns()).max(1),
+            tick,
             ns: swap.blend.unwrap_or(scenario.swap_gate.blend).ns(),
             option: u64::from(swap.force),
             ..command(CommandKind::Swap, to)

@@ -104,15 +104,7 @@ pub struct TracePoint {
 /// The tracker's view of a scenario in lockstep.
 #[must_use]
 pub fn tracker_config(scenario: &Scenario) -> Config {
-    Config {
-        period_ns: scenario.period_ns(),
-        late_ns: scenario.loop_.late_ns(),
-        settle_ns: scenario.loop_.settle_ns(),
-        start_up_ns: scenario.loop_.start_up.ns(),
-        finalise_ns: scenario.monitor.finalise.ns(),
-        lockstep: true,
-        speed_limit_rad_s: scenario.plant.speed_limit,
-    }
+    Config { lockstep: true, ..Config::of(scenario) }
 }
 
 /// Runs a scenario in lockstep, whatever its mode says. `trace_every`: ticks between points of the trace, 0: none.

@@ -94,7 +94,7 @@ fn the_interval_between_samples_has_its_mean_and_deviation() {
 #[test]
 fn start_up_ticks_are_left_out_and_counted() {
     let config = Config { start_up_ns: 10 * PERIOD_NS, ..config() };
-    let mut tracker = Tracker::<3>::new(config, None);
+    let mut tracker = Tracker::<3>::new(config.clone(), None);
     let resting = (0..5).map(|tick| {
         let mut record = unanswered(tick);
         record.flags = record_flag::AT_REST;
@@ -106,7 +106,7 @@ fn start_up_ticks_are_left_out_and_counted() {
     assert_eq!((summary.start_up_ticks, summary.latency_ns.round_trip.n), (15, 85));
     assert_eq!(summary.ticks_seen, 100);
     // A monitor that joins a running group has missed the start-up, and leaves nothing out.
-    let mut late = Tracker::<3>::new(config, None);
+    let mut late = Tracker::<3>::new(config.clone(), None);
     feed_all(&mut late, (500..600).map(good));
     assert_eq!((late.summarise().start_up_ticks, late.summarise().first_tick), (0, Some(500)));
     // Virtual time has no start-up.
