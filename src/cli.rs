@@ -375,7 +375,7 @@ fn after_printing(exit: Exit, prints_its_result: bool) -> Exit {
 }
 
 /// What was tried, then why it failed, without saying anything twice: some errors quote their cause themselves.
-fn one_line(error: &anyhow::Error) -> String {
+pub(crate) fn one_line(error: &anyhow::Error) -> String {
     let mut line = String::new();
     for part in error.chain().map(ToString::to_string) {
         if line.is_empty() {

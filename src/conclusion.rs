@@ -52,9 +52,8 @@ pub(crate) fn conclude(summary: &mut Summary, record: &Record, stopped: Option<E
 
 /// Adds that the recording is not what was asked for, once its files are written.
 pub(crate) fn conclude_recording(summary: &mut Summary) {
-    let Some(recording) = summary.recording.as_ref().filter(|recording| !recording.whole) else { return };
-    let why = recording.error.clone().unwrap_or_else(|| summary.dropped.to_string());
-    add(summary, vec![(Headline::Incomplete, format!("the recording is not whole: {why}"))]);
+    let shortfall = summary.recording.as_ref().and_then(|recording| recording.shortfall(&summary.dropped));
+    add(summary, shortfall.into_iter().map(|why| (Headline::Incomplete, why)).collect());
 }
 
 fn add(summary: &mut Summary, found: Vec<(Headline, String)>) {
@@ -132,6 +131,9 @@ mod tests {
             summary.recording = Some(RecordingSummary { whole, error: None });
             conclude_recording(&mut summary);
             assert_eq!(summary.verdict.headline(), after);
+            let why =
+                "the recording is not whole: the disk was too slow; 0 rows, 0 events, 0 intervals were not recorded";
+            assert_eq!(summary.verdict.reasons.iter().any(|reason| reason == why), !whole, "{:?}", summary.verdict);
         }
     }
 

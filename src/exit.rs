@@ -55,6 +55,13 @@ impl Exit {
         self as u8
     }
 
+    /// The gravest headline that ends with it.
+    #[must_use]
+    pub fn headline(self) -> Headline {
+        let same = |headline: &Headline| headline.exit_code() == self.code();
+        Headline::first_of(Headline::ALL.into_iter().filter(same)).unwrap_or(Headline::Internal)
+    }
+
     /// The class of an error: what the user wrote, or what went wrong here.
     #[must_use]
     pub fn of(error: &anyhow::Error) -> Self {

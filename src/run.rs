@@ -8,6 +8,7 @@ use clap::Args;
 use loopbound_monitor::Summary;
 use loopbound_monitor::live::Address;
 use loopbound_monitor::verdict::expectations;
+use loopbound_shared::headline::Headline;
 use loopbound_shared::input;
 use loopbound_shared::realtime::die_with_parent;
 use loopbound_shared::say;
@@ -15,7 +16,7 @@ use loopbound_shared::scenario::{ExpectSection, Scenario};
 use serde_json::Value;
 
 use crate::check;
-use crate::cli::ScenarioArgs;
+use crate::cli::{ScenarioArgs, one_line};
 use crate::conclusion;
 use crate::exit::{Exit, Failure};
 use crate::guests::Guest;
@@ -71,11 +72,20 @@ pub fn run(args: &RunArgs) -> anyhow::Result<Exit> {
     needs::check(&scenario)?;
     // From here on a signal ends the group in order.
     let stop = Stop::install().context("signals")?;
-    match (run_until(&stop, args, &scenario, asked), stop.requested()) {
-        // A group that a signal met in the middle of its start fails in many ways; the reason is the signal.
-        (Err(error), Some(exit)) if Exit::of(&error) != Exit::Usage => Ok(exit),
-        (ended, _) => ended,
+    run_until(&stop, args, &scenario, asked).map_err(|error| match stop.requested() {
+        Some(signal) => met_by(signal, error),
+        None => error,
+    })
+}
+
+/// A group that a signal meets in the middle of its start fails in many ways: the reason is the signal unless the error is graver,
+/// and what went wrong is said all the same.
+fn met_by(signal: Exit, error: anyhow::Error) -> anyhow::Error {
+    let (of_signal, of_error) = (signal.headline(), Exit::of(&error).headline());
+    if Headline::first_of([of_signal, of_error]) == Some(of_error) {
+        return error;
     }
+    Failure { exit: signal, message: format!("{}; {}", of_signal.sentence(), one_line(&error)) }.into()
 }
 
 fn run_until(stop: &Stop, args: &RunArgs, scenario: &Scenario, asked: Option<Asked>) -> anyhow::Result<Exit> {
@@ -180,10 +190,7 @@ fn errors(record: &Record, summary: Option<&Summary>) -> Vec<String> {
         errors.push("the monitor left no summary".to_owned());
         return errors;
     };
-    if let Some(recording) = summary.recording.as_ref().filter(|recording| !recording.whole) {
-        let why = recording.error.as_deref().unwrap_or("the disk was too slow");
-        errors.push(format!("the recording is not whole: {why}; {}", summary.dropped));
-    }
+    errors.extend(summary.recording.as_ref().and_then(|recording| recording.shortfall(&summary.dropped)));
     errors
 }
 
@@ -205,6 +212,19 @@ mod tests {
         let death =
             Death { role: "controller".into(), id: 1, pid: 1, tick: 5, how: "killed (SIGKILL)".into(), recovered };
         Record { end: "done".into(), deaths: vec![death], ..Record::default() }
+    }
+
+    #[test]
+    fn a_signal_in_the_middle_of_a_start_counts_by_its_place_in_the_table_and_hides_no_error() {
+        let lost =
+            || anyhow::Error::new(Failure { exit: Exit::RoleDied, message: "controller 1 did not start".into() });
+        let met = met_by(Exit::Terminated, lost().context("starting"));
+        assert_eq!(Exit::of(&met), Exit::Terminated);
+        let words = met.to_string();
+        assert!(words.contains("SIGTERM") && words.ends_with("starting: controller 1 did not start"), "{words}");
+        assert_eq!(Exit::of(&met_by(Exit::Interrupted, anyhow::anyhow!("no port"))), Exit::Interrupted);
+        let usage = met_by(Exit::Interrupted, Failure::usage("a typo").into());
+        assert_eq!((Exit::of(&usage), usage.to_string()), (Exit::Usage, "a typo".to_owned()));
     }
 
     #[test]

@@ -422,6 +422,15 @@ pub struct RecordingSummary {
     pub error: Option<String>,
 }
 
+impl RecordingSummary {
+    /// Why it is not whole, with what was lost; none if it is whole.
+    #[must_use]
+    pub fn shortfall(&self, dropped: &Dropped) -> Option<String> {
+        let why = self.error.as_deref().unwrap_or("the disk was too slow");
+        (!self.whole).then(|| format!("the recording is not whole: {why}; {dropped}"))
+    }
+}
+
 /// What a run is worth.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
