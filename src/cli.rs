@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use clap::{Args, CommandFactory as _, Parser, Subcommand};
 use clap_complete::Shell;
-use loopbound_monitor::live::Address;
+use loopbound_monitor::live::{Address, Origin};
 use loopbound_shared::law::LawKind;
 use loopbound_shared::quote;
 use loopbound_shared::role::RoleArgs;
@@ -230,6 +230,10 @@ pub struct MonitorArgs {
     /// default port 8765.
     #[arg(long, value_name = "ADDR", conflicts_with = "tui")]
     pub foxglove: Option<Address>,
+    /// Let web pages of this origin look too, such as https://viewer.example:8080. Those of Foxglove and of this machine may
+    /// anyway.
+    #[arg(long = "foxglove-origin", value_name = "ORIGIN", requires = "foxglove")]
+    pub foxglove_origins: Vec<Origin>,
     /// How long to watch (such as 5s); default until the group ends.
     #[arg(long, value_parser = parse_duration, value_name = "TIME")]
     pub duration: Option<u64>,

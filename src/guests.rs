@@ -9,7 +9,7 @@ use std::process::{Child, Command, Stdio};
 use std::thread::JoinHandle;
 
 use anyhow::Context as _;
-use loopbound_monitor::live::Address;
+use loopbound_monitor::live::{Address, Origin};
 use loopbound_shared::clock::{NS_PER_S, now_ns, sleep_ns};
 use loopbound_shared::group::sweep_if_dead;
 use loopbound_shared::say;
@@ -52,17 +52,18 @@ impl Guest {
         })
     }
 
-    /// Serves at `address`; its report is nobody's, since there is the launcher's own.
+    /// Serves at `address`, to pages of `origins` too; its report is nobody's, since there is the launcher's own.
     ///
     /// # Errors
     /// If the address can't be had, or there is no process.
-    pub fn server(group: &str, address: &Address, quiet: bool) -> anyhow::Result<Self> {
+    pub fn server(group: &str, address: &Address, origins: &[Origin], quiet: bool) -> anyhow::Result<Self> {
         // Better no run than one that can't be looked at as was asked.
         address.probe().map_err(|e| Failure::usage(e.to_string()))?;
         let server = command(group, SERVER_ID)?
             .args(["--foxglove", &address.to_string()])
             // Its errors are said in any case.
             .args(quiet.then_some("--quiet"))
+            .args(origins.iter().map(|origin| format!("--foxglove-origin={origin}")))
             // The terminal's Ctrl-C is the launcher's; this process ends with the group.
             .process_group(0)
             .stdin(Stdio::null())

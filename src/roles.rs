@@ -55,6 +55,7 @@ pub fn monitor(args: cli::MonitorArgs) -> anyhow::Result<Exit> {
         managed: args.managed,
         duration_ns: args.duration,
         foxglove: args.foxglove,
+        foxglove_origins: args.foxglove_origins,
     };
     if tui {
         let left = loopbound_monitor::tui::run(&args, stop)?;

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use clap::Args;
 use loopbound_monitor::Summary;
-use loopbound_monitor::live::Address;
+use loopbound_monitor::live::{Address, Origin};
 use loopbound_monitor::verdict::expectations;
 use loopbound_shared::headline::Headline;
 use loopbound_shared::input;
@@ -54,6 +54,10 @@ pub struct RunArgs {
     /// port 8765.
     #[arg(long, value_name = "ADDR")]
     pub foxglove: Option<Address>,
+    /// Let web pages of this origin look too, such as https://viewer.example:8080. Those of Foxglove and of this machine may
+    /// anyway.
+    #[arg(long = "foxglove-origin", value_name = "ORIGIN", requires = "foxglove")]
+    pub foxglove_origins: Vec<Origin>,
     /// The study that this run is a part of: the run ends when it does.
     #[arg(long, hide = true)]
     pub parent: Option<u32>,
@@ -103,7 +107,11 @@ fn run_until(stop: &Stop, args: &RunArgs, scenario: &Scenario, asked: Option<Ask
         needs::notes(scenario).into_iter().for_each(|note| options.progress.note(note));
         scenario.in_vain().iter().for_each(|line| say::err!("loopbound: {line}"));
     }
-    let server = args.foxglove.as_ref().map(|address| Guest::server(&options.group, address, quiet)).transpose()?;
+    let server = args
+        .foxglove
+        .as_ref()
+        .map(|address| Guest::server(&options.group, address, &args.foxglove_origins, quiet))
+        .transpose()?;
     let view = args.tui.then(|| Guest::view(&options.group)).transpose()?;
     let outcome = supervise::supervise(scenario, &options, asked)?;
     [view, server].into_iter().flatten().for_each(Guest::leave);

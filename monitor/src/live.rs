@@ -4,9 +4,16 @@
 //! recording ([`Channel::SHOWN`](crate::recording::channels::Channel::SHOWN)), so that one layout fits both. A server takes
 //! nothing from its clients: they subscribe and unsubscribe, and whoever comes, stalls or leaves is the concern of the
 //! server's own threads, at the ordinary priority. A client that reads too slowly loses its oldest messages, which shows
-//! as a gap in `tick`.
+//! as a gap in `tick`. Web pages may look if they are Foxglove's or this machine's own: a relay before the server asks.
 
 mod address;
+#[cfg(feature = "foxglove")]
+mod connection;
+#[cfg(feature = "foxglove")]
+mod head;
+mod origin;
+#[cfg(feature = "foxglove")]
+mod relay;
 #[cfg(feature = "foxglove")]
 mod server;
 #[cfg(not(feature = "foxglove"))]
@@ -16,6 +23,7 @@ mod server;
 mod stretch;
 
 pub use address::{Address, AddressError};
+pub use origin::{Origin, OriginError};
 pub use server::Live;
 
 /// Why nothing is served.

@@ -28,7 +28,7 @@ use loopbound_shared::with_links;
 use crate::files::{LOST_FILE, Place, Recorder, summary_text};
 use crate::folder::{Begin, Claim, FolderError, Kind, self_contained, waypoints_of};
 use crate::judge::Judge;
-use crate::live::{Address, Live, LiveError};
+use crate::live::{Address, Live, LiveError, Origin};
 use crate::members::Members;
 use crate::recording::{About, Started};
 use crate::render::render;
@@ -79,6 +79,8 @@ pub struct MonitorArgs {
     pub duration_ns: Option<u64>,
     /// Where the group is served to Foxglove.
     pub foxglove: Option<Address>,
+    /// Web pages that may look besides those of Foxglove and of this machine.
+    pub foxglove_origins: Vec<Origin>,
 }
 
 /// Why the watching ended.
@@ -501,7 +503,8 @@ fn take(claim: Claim, joined: &Joined) -> Result<Place, RoleError> {
 fn serve(address: &Address, args: &MonitorArgs, joined: &Joined) -> Result<Live, RoleError> {
     let scenario = &joined.scenario;
     let lockstep = scenario.loop_.mode == Mode::Lockstep;
-    let live = Live::start(address, &about(args, joined)?, scenario.period_ns(), lockstep).map_err(refused)?;
+    let live = Live::start(address, &args.foxglove_origins, &about(args, joined)?, scenario.period_ns(), lockstep);
+    let live = live.map_err(refused)?;
     let whom = if address.is_loopback() { "this machine" } else { "every machine that can reach this one" };
     if !args.quiet {
         say::err!("loopbound: group {} is live for Foxglove on {whom} at {}", args.group, live.url());

@@ -2,6 +2,7 @@
 //! decoder that knows nothing but the schema that it was sent.
 
 use std::collections::BTreeMap;
+use std::io::{Read as _, Write as _};
 use std::net::{TcpListener, TcpStream};
 use std::time::Duration;
 
@@ -9,7 +10,7 @@ use loopbound_monitor::recording::channels::Channel;
 use rustix::process::Signal;
 use serde_json::{Value, json};
 use tungstenite::client::IntoClientRequest as _;
-use tungstenite::{Message, WebSocket};
+use tungstenite::{HandshakeError, Message, WebSocket};
 
 use crate::harness::{Case, PATIENCE_S, Running, wait_until};
 
@@ -23,14 +24,46 @@ struct Viewer {
     channels: BTreeMap<String, Value>,
 }
 
+/// A connection to the server.
+fn call(port: u16) -> TcpStream {
+    let stream = TcpStream::connect(("127.0.0.1", port)).expect("the server is there");
+    stream.set_read_timeout(Some(Duration::from_secs(PATIENCE_S))).expect("a time limit");
+    stream
+}
+
+/// What the server answers to bytes that are no handshake of a viewer.
+fn answer(port: u16, bytes: &str) -> String {
+    let mut stream = call(port);
+    // It may have answered and closed before it has got everything.
+    let _ = stream.write_all(bytes.as_bytes());
+    let mut text = String::new();
+    stream.read_to_string(&mut text).expect("an answer");
+    text
+}
+
+/// The handshake of a viewer that says which page it is a part of; the status and the words of a refusal.
+fn shake(port: u16, origin: Option<&str>) -> Result<WebSocket<TcpStream>, (u16, String)> {
+    let mut request = format!("ws://127.0.0.1:{port}").into_client_request().expect("a request");
+    request.headers_mut().insert("Sec-WebSocket-Protocol", "foxglove.sdk.v1".parse().expect("a header"));
+    if let Some(origin) = origin {
+        request.headers_mut().insert("Origin", origin.parse().expect("a header"));
+    }
+    match tungstenite::client::client(request, call(port)) {
+        Ok((socket, answer)) => {
+            assert_eq!(answer.headers()["Sec-WebSocket-Protocol"], "foxglove.sdk.v1");
+            Ok(socket)
+        }
+        Err(HandshakeError::Failure(tungstenite::Error::Http(answer))) => {
+            let body = answer.body().clone().unwrap_or_default();
+            Err((answer.status().as_u16(), String::from_utf8(body).expect("text")))
+        }
+        Err(error) => panic!("{error}"),
+    }
+}
+
 impl Viewer {
     fn connect(port: u16) -> Self {
-        let stream = TcpStream::connect(("127.0.0.1", port)).expect("the server is there");
-        stream.set_read_timeout(Some(Duration::from_secs(PATIENCE_S))).expect("a time limit");
-        let mut request = format!("ws://127.0.0.1:{port}").into_client_request().expect("a request");
-        request.headers_mut().insert("Sec-WebSocket-Protocol", "foxglove.sdk.v1".parse().expect("a header"));
-        let (socket, answer) = tungstenite::client::client(request, stream).expect("a handshake");
-        assert_eq!(answer.headers()["Sec-WebSocket-Protocol"], "foxglove.sdk.v1");
+        let socket = shake(port, None).expect("a handshake");
         let mut viewer = Self { socket, channels: BTreeMap::new() };
         while viewer.channels.len() < Channel::SHOWN.len() {
             viewer.next();
@@ -243,6 +276,64 @@ fn a_run_serves_itself_and_its_server_leaves_with_it() {
 }
 
 #[test]
+fn only_pages_of_foxglove_of_this_machine_and_those_that_were_allowed_may_look() {
+    let case = Case::new("live-origin");
+    let allowed = ["--foxglove", "127.0.0.1:0", "--foxglove-origin", "https://viewer.example"];
+    let mut running = case.run("[loop]\nduration = \"60s\"\n", &allowed);
+    let port = port_of(&mut running);
+    for origin in [
+        None,
+        Some("https://app.foxglove.dev"),
+        Some("file://"),
+        Some("http://localhost:8080"),
+        Some("https://127.0.0.1"),
+        Some("http://[::1]:3000"),
+        Some("https://viewer.example"),
+    ] {
+        let mut socket = shake(port, origin).unwrap_or_else(|refusal| panic!("{origin:?}: {refusal:?}"));
+        assert!(socket.read().is_ok_and(|message| message.is_text()), "{origin:?}");
+    }
+    for origin in ["https://evil.example", "null", "http://viewer.example", "http://localhost.evil.example", "x"] {
+        let (status, words) = shake(port, Some(origin)).err().unwrap_or_else(|| panic!("{origin} may look"));
+        assert!(status == 403 && words.contains(origin) && words.contains("--foxglove-origin"), "{origin}: {words}");
+    }
+    let said = running.said();
+    assert_eq!(said.matches("may not look at this run").count(), 1, "said once: {said}");
+    let fields = "Host: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n";
+    let twice = "Origin: http://localhost\r\nOrigin: https://evil.example\r\n";
+    assert!(answer(port, &format!("GET / HTTP/1.1\r\n{fields}{twice}\r\n")).starts_with("HTTP/1.1 400 "));
+    assert!(answer(port, "\u{16}\u{3}\u{1} not HTTP\r\n\r\n").starts_with("HTTP/1.1 400 "));
+    let endless = "y".repeat(20_000);
+    assert!(answer(port, &format!("GET / HTTP/1.1\r\nX: {endless}")).starts_with("HTTP/1.1 431 "));
+    running.signal(Signal::INT);
+    assert_eq!(running.wait().code, Some(130));
+    case.assert_nothing_left();
+}
+
+#[test]
+fn clients_that_stall_flood_or_come_at_the_end_keep_nobody() {
+    let case = Case::new("live-flood");
+    let mut running = case.run("[loop]\nduration = \"60s\"\n", &["--foxglove", "127.0.0.1:0"]);
+    let port = port_of(&mut running);
+    let mut half = call(port);
+    half.write_all(b"GET / HTTP/1.1\r\nUpgrade: webso").expect("half a request");
+    let _idle: Vec<TcpStream> = (0..200).map(|_| call(port)).collect();
+    let mut viewer = Viewer::connect(port);
+    viewer.subscribe(1, Channel::Ticks);
+    viewer.next_of(1);
+    let coming = std::thread::spawn(move || {
+        // Until nobody listens any more.
+        while let Ok(mut stream) = TcpStream::connect(("127.0.0.1", port)) {
+            let _ = stream.write_all(b"GET / HTTP/1.1\r\nUpgrade: websocket\r\n");
+        }
+    });
+    running.signal(Signal::INT);
+    assert_eq!(running.wait().code, Some(130));
+    coming.join().expect("the server has ended");
+    case.assert_nothing_left();
+}
+
+#[test]
 fn an_address_that_can_not_be_had_is_refused_before_anything_starts() {
     let case = Case::apart("live-refused");
     let taken = TcpListener::bind("127.0.0.1:0").expect("a free port");
@@ -251,6 +342,7 @@ fn an_address_that_can_not_be_had_is_refused_before_anything_starts() {
         (["run", "--foxglove", &address], ["in use", &address]),
         (["run", "--foxglove", "ws://here"], ["--foxglove", "HOST:PORT"]),
         (["run", "--foxglove", "70000"], ["--foxglove", "70000"]),
+        (["run", "--foxglove=0", "--foxglove-origin=viewer.example"], ["viewer.example", "SCHEME://HOST:PORT"]),
     ] {
         let ended = case.output(&arguments);
         assert_eq!((ended.code, ended.out.as_str()), (Some(2), ""), "{ended:?}");

@@ -4,7 +4,7 @@ use std::convert::Infallible;
 
 use loopbound_shared::sample::TickRecord;
 
-use super::{Address, LiveError};
+use super::{Address, LiveError, Origin};
 use crate::event::Event;
 use crate::recording::About;
 use crate::tracker::Row;
@@ -17,7 +17,7 @@ impl Live {
     ///
     /// # Errors
     /// Always.
-    pub fn start(_: &Address, _: &About, _: u64, _: bool) -> Result<Self, LiveError> {
+    pub fn start(_: &Address, _: &[Origin], _: &About, _: u64, _: bool) -> Result<Self, LiveError> {
         Err(LiveError::Absent)
     }
 

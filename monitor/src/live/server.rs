@@ -1,5 +1,6 @@
 //! The server: channels of the SDK, fed with the recording's messages while somebody is subscribed to them.
 
+use std::net::TcpListener;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
 use std::time::Duration;
@@ -11,8 +12,9 @@ use foxglove::{
 use loopbound_shared::clock::{NS_PER_S, sleep_ns};
 use loopbound_shared::sample::TickRecord;
 
+use super::relay::{Relay, hidden_address, hidden_host};
 use super::stretch::Stretches;
-use super::{Address, LiveError};
+use super::{Address, LiveError, Origin};
 use crate::event::{Event, EventKind};
 use crate::recording::About;
 use crate::recording::channels::Channel;
@@ -29,6 +31,7 @@ const FAREWELL: Duration = Duration::from_millis(300);
 /// Serves a run until it is stopped.
 pub struct Live {
     server: WebSocketServerHandle,
+    relay: Relay,
     address: Address,
     feed: Feed,
     events: Arc<RawChannel>,
@@ -56,25 +59,33 @@ struct Lost {
 }
 
 impl Live {
-    /// Serves the run that `about` is of, with ticks of `period_ns`, at `address`.
+    /// Serves the run that `about` is of, with ticks of `period_ns`, at `address`, to pages of `origins` too.
     ///
     /// # Errors
     /// If the address can't be had, or the server can't start.
-    pub fn start(address: &Address, about: &About, period_ns: u64, lockstep: bool) -> Result<Self, LiveError> {
+    pub fn start(
+        address: &Address,
+        origins: &[Origin],
+        about: &About,
+        period_ns: u64,
+        lockstep: bool,
+    ) -> Result<Self, LiveError> {
+        let listener = TcpListener::bind(address.to_string());
+        let listener = listener.map_err(|source| LiveError::Bind { address: address.clone(), source })?;
         let context = Context::new();
-        let refused = |error: FoxgloveError| match error {
-            FoxgloveError::Bind(source) => LiveError::Bind { address: address.clone(), source },
-            error => LiveError::Server(error.to_string()),
-        };
+        let refused = |error: FoxgloveError| LiveError::Server(error.to_string());
         let [ticks, events, scene] = Channel::SHOWN.map(|channel| open(&context, channel));
         let (ticks, events, scene) = (ticks.map_err(refused)?, events.map_err(refused)?, scene.map_err(refused)?);
+        let hidden = hidden_host();
         let server = WebSocketServer::new()
             .context(&context)
             .name(format!("loopbound {}", about.group))
-            .bind(address.host(), address.port())
+            .bind(hidden.to_string(), 0)
             .start_blocking()
             .map_err(refused)?;
+        let relay = Relay::start(listener, hidden_address(hidden, server.port()), origins.to_vec());
         Ok(Self {
+            relay: relay.map_err(|error| LiveError::Server(error.to_string()))?,
             server,
             address: address.clone(),
             feed: Feed { ticks, scene, views: Views::new(about) },
@@ -89,7 +100,7 @@ impl Live {
     /// What to connect to.
     #[must_use]
     pub fn url(&self) -> String {
-        format!("ws://{}:{}", self.address.host(), self.server.port())
+        format!("ws://{}:{}", self.address.host(), self.relay.port())
     }
 
     /// Takes a tick, at `now_ns` on the wall.
@@ -146,6 +157,7 @@ impl Live {
         if std::thread::Builder::new().name("farewell".to_owned()).spawn(wait).is_ok() {
             let _ = ended.recv_timeout(FAREWELL);
         }
+        self.relay.stop();
     }
 }
 
