@@ -8,6 +8,9 @@ use std::io::Write as _;
 
 use clap::Args;
 use loopbound_shared::bound::certificate::{Certificate, Certification};
+use loopbound_shared::bound::coverage::Gap;
+use loopbound_shared::law::LawKind;
+use loopbound_shared::quote;
 use loopbound_shared::say;
 use loopbound_shared::scenario::{Scenario, ScenarioError, parse_duration};
 use loopbound_shared::system;
@@ -32,7 +35,8 @@ pub struct BoundArgs {
     pub json: bool,
 }
 
-/// Prints the certificate. Held if the scenario's law is certified, failed if not.
+/// Prints the certificate. Held if the scenario's law is certified, its loop is stable at its rate and latency, and its
+/// plant is within what the controller declares; failed if not.
 ///
 /// # Errors
 /// If the scenario is refused or describes no system.
@@ -40,22 +44,34 @@ pub fn run(args: &BoundArgs) -> anyhow::Result<Exit> {
     let scenario = args.scenario.load_system(false)?;
     let latency_ns = args.latency.unwrap_or(scenario.plant.actuation_delay.ns());
     let latency_s = latency_ns as f64 * 1e-9;
-    let (certification, sampling) =
+    let answer =
         with_links!(scenario.links(), examine::<N>(&scenario, latency_s)).map_err(|e| Failure::usage(e.to_string()))?;
     let mut out = say::stdout();
     if args.json {
-        writeln!(out, "{}", to_json(&scenario, &certification, &sampling))?;
+        writeln!(out, "{}", answer.to_json())?;
     } else {
-        let law = scenario.controller.law;
-        write!(out, "{}{}", render(&scenario, &certification), sampling.render(law))?;
+        write!(out, "{}", answer.render())?;
     }
-    Ok(if certification.certificate.is_certified() { Exit::Held } else { Exit::Failed })
+    Ok(if answer.holds() { Exit::Held } else { Exit::Failed })
 }
 
-fn examine<const N: usize>(scenario: &Scenario, latency_s: f64) -> Result<(Certification, Sampling), ScenarioError> {
-    let certification = system::certification::<N>(scenario, scenario.controller.law)?;
+/// All that there is to say of a scenario's law, without running it.
+#[derive(Clone, Debug)]
+struct Answer {
+    law: LawKind,
+    rate_hz: f64,
+    certification: Certification,
+    sampling: Sampling,
+    /// What of the plant lies outside of what the controller declares.
+    gaps: Vec<Gap>,
+}
+
+fn examine<const N: usize>(scenario: &Scenario, latency_s: f64) -> Result<Answer, ScenarioError> {
+    let law = scenario.controller.law;
+    let certification = system::certification::<N>(scenario, law)?;
     let sampling = sampling::<N>(scenario, &certification.certificate, latency_s)?;
-    Ok((certification, sampling))
+    let gaps = system::gaps::<N>(scenario, law)?;
+    Ok(Answer { law, rate_hz: scenario.loop_.rate.0, certification, sampling, gaps })
 }
 
 /// Symbol, value, unit and meaning of every number that the law's certificate has.
@@ -89,86 +105,77 @@ fn rows(c: &Certificate) -> Vec<(&'static str, f64, &'static str, &'static str)>
     all.into_iter().filter(|(key, value, ..)| value.abs() > 0.0 || value.is_nan() || kept.contains(key)).collect()
 }
 
-fn render(scenario: &Scenario, certification: &Certification) -> String {
-    let law = scenario.controller.law;
-    let mut text = if certification.certificate.is_certified() {
-        format!("{law}: certified\n")
-    } else {
-        format!("{law}: NOT certified\n")
-    };
-    for failure in &certification.failures {
-        text.push_str(&format!("  missing: {failure}\n"));
+impl Answer {
+    fn is_certified(&self) -> bool {
+        self.certification.certificate.is_certified()
     }
-    for remedy in &certification.remedies {
-        text.push_str(&format!("  would do: {remedy}\n"));
-    }
-    for (key, value, unit, meaning) in rows(&certification.certificate) {
-        text.push_str(&format!("  {key:<17}{value:>12.5}  {unit:<14}  {meaning}\n"));
-    }
-    text
-}
 
-fn to_json(scenario: &Scenario, certification: &Certification, sampling: &Sampling) -> Value {
-    let numbers: serde_json::Map<String, Value> =
-        rows(&certification.certificate).into_iter().map(|(key, value, ..)| (key.to_owned(), json!(value))).collect();
-    json!({
-        "law": scenario.controller.law.name(),
-        "certified": certification.certificate.is_certified(),
-        "missing": certification.failures.iter().map(ToString::to_string).collect::<Vec<_>>(),
-        "remedies": certification.remedies.iter().map(ToString::to_string).collect::<Vec<_>>(),
-        "certificate": numbers,
-        "sampling": sampling.to_json(),
-    })
+    /// Whether what is certified is true of this plant in this loop.
+    fn holds(&self) -> bool {
+        self.is_certified() && self.sampling.is_stable() && self.gaps.is_empty()
+    }
+
+    /// The first line: everything that decides the exit code.
+    fn headline(&self) -> String {
+        let mut line = format!("{}: ", self.law);
+        line.push_str(match (self.is_certified(), self.sampling.is_stable()) {
+            (false, _) => "NOT certified",
+            (true, true) => "certified",
+            (true, false) => "certified in continuous time",
+        });
+        if !self.sampling.is_stable() {
+            line.push_str(&format!(", UNSTABLE at {} Hz", quote::number(self.rate_hz)));
+            if self.sampling.latency_s > 0.0 {
+                line.push_str(&format!(" with torques {:.4} ms late", self.sampling.latency_s * 1e3));
+            }
+        }
+        if !self.gaps.is_empty() {
+            line.push_str(", and the plant is OUTSIDE of what the controller declares");
+        }
+        line
+    }
+
+    /// For people.
+    fn render(&self) -> String {
+        let mut text = format!("{}\n", self.headline());
+        for gap in &self.gaps {
+            text.push_str(&format!("  outside: {gap}\n"));
+        }
+        for failure in &self.certification.failures {
+            text.push_str(&format!("  missing: {failure}\n"));
+        }
+        for remedy in &self.certification.remedies {
+            text.push_str(&format!("  would do: {remedy}\n"));
+        }
+        for (key, value, unit, meaning) in rows(&self.certification.certificate) {
+            text.push_str(&format!("  {key:<17}{value:>12.5}  {unit:<14}  {meaning}\n"));
+        }
+        text.push_str(&self.sampling.render(self.law));
+        text
+    }
+
+    /// For programs.
+    fn to_json(&self) -> Value {
+        let certification = &self.certification;
+        let numbers: serde_json::Map<String, Value> = rows(&certification.certificate)
+            .into_iter()
+            .map(|(key, value, ..)| (key.to_owned(), json!(value)))
+            .collect();
+        json!({
+            "law": self.law.name(),
+            "headline": self.headline(),
+            "holds": self.holds(),
+            "certified": self.is_certified(),
+            "stable": self.sampling.is_stable(),
+            "within_declared": self.gaps.is_empty(),
+            "outside": self.gaps.iter().map(ToString::to_string).collect::<Vec<_>>(),
+            "missing": certification.failures.iter().map(ToString::to_string).collect::<Vec<_>>(),
+            "remedies": certification.remedies.iter().map(ToString::to_string).collect::<Vec<_>>(),
+            "certificate": numbers,
+            "sampling": self.sampling.to_json(),
+        })
+    }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use loopbound_shared::law::LawKind;
-
-    #[test]
-    fn the_papers_case_is_certified_and_a_small_c1_is_named_with_what_would_do() {
-        let scenario = Scenario::default();
-        let (good, sampling) = examine::<3>(&scenario, 0.0).unwrap();
-        assert!(render(&scenario, &good).starts_with("robust: certified\n"));
-        let json = to_json(&scenario, &good, &sampling);
-        // K_t of the defaults as the documentation states it: 106.8.
-        assert!((json["certificate"]["k_t"].as_f64().unwrap() - 106.8).abs() < 0.05, "{json}");
-        let scenario = scenario.with_set("controller.gains.c1=10").unwrap();
-        let text = render(&scenario, &examine::<3>(&scenario, 0.0).unwrap().0);
-        assert!(text.contains("NOT certified") && text.contains("C1") && text.contains("would do"), "{text}");
-    }
-
-    #[test]
-    fn the_latency_side_has_the_documented_room_age_and_hold_limit() {
-        let (_, sampling) = examine::<3>(&Scenario::default(), 0.0).unwrap();
-        let budget = sampling.budget.unwrap();
-        // Figures of the documentation: d < 0.948 ms, h < 1.90 ms without delay.
-        assert!(
-            (budget.delay_margin_s - 0.948e-3).abs() < 5e-7 && (budget.period_max_s.unwrap() - 1.9e-3).abs() < 5e-6
-        );
-        assert!(sampling.radius < 1.0 && sampling.hold_ticks > 0);
-        // 1 kHz is not proven beforehand.
-        assert!(sampling.proven.is_some_and(|p| p.age_s < 1e-3), "{:?}", sampling.proven);
-        assert!(sampling.render(LawKind::Robust).contains("left to the live check"));
-    }
-
-    #[test]
-    fn a_latency_beyond_the_boundary_is_called_unstable_by_rule_and_radius_and_costs_the_smallest_w() {
-        let scenario = Scenario::default();
-        let (_, late) = examine::<3>(&scenario, 2e-3).unwrap();
-        assert!(
-            late.budget.unwrap().used > 1.0 && late.radius > 1.0 && late.render(LawKind::Robust).contains("UNSTABLE")
-        );
-        let w = |latency_s: f64| examine::<3>(&scenario, latency_s).unwrap().1.smallest_w.unwrap().w_norm;
-        assert!(w(1e-4) < w(1e-3), "a lower latency allows a larger gain and so a smaller radius");
-    }
-
-    #[test]
-    fn computed_torque_is_judged_by_its_spectral_radius_alone() {
-        let scenario = Scenario::default().with_set("controller.law=ctc").unwrap();
-        let (_, sampling) = examine::<3>(&scenario, 1e-3).unwrap();
-        assert!(sampling.budget.is_none() && sampling.smallest_w.is_none() && sampling.radius < 1.0);
-        assert!(sampling.to_json()["budget"].is_null() && sampling.radius_margin.seconds() > 1e-3);
-    }
-}
+mod tests;

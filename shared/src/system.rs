@@ -8,8 +8,10 @@ mod check;
 pub use check::{check, remarks};
 
 use crate::bound::certificate::{Certificate, Certification, Gains, StartError, certificate, certify};
+use crate::bound::coverage::{Gap, Surroundings, gaps as gaps_of};
 use crate::bound::envelope::Assumptions;
 use crate::chain::Vector;
+use crate::clock::seconds;
 use crate::integrator::PlantState;
 use crate::law::{Law, LawInput, LawKind};
 use crate::scenario::{Scenario, ScenarioError};
@@ -113,4 +115,18 @@ pub fn law<const N: usize>(scenario: &Scenario, kind: LawKind) -> Result<Law<N>,
         k_p: scenario.controller.gains.kp,
         k_d: scenario.controller.gains.kd,
     })
+}
+
+/// What of a scenario's own plant the certificate of a law does not cover.
+///
+/// # Errors
+/// If the scenario describes no system.
+pub fn gaps<const N: usize>(scenario: &Scenario, kind: LawKind) -> Result<Vec<Gap>, ScenarioError> {
+    let around = Surroundings {
+        period_s: seconds(scenario.period_ns()),
+        actuation_delay_s: scenario.plant.actuation_delay.seconds(),
+        speed_limit_rad_s: scenario.plant.speed_limit,
+    };
+    let (truth, assumptions) = (scenario.build_truth::<N>()?, assumptions::<N>(scenario)?);
+    Ok(gaps_of(&truth, &assumptions, &law::<N>(scenario, kind)?, &certificate_of::<N>(scenario, kind)?, &around))
 }

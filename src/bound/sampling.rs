@@ -79,6 +79,11 @@ fn rounded_down_ms(limit_s: f64) -> String {
     format!("{:.4} ms", (limit_s * 1e7).floor() * 1e-4)
 }
 
+/// The smaller limit.
+fn sooner(one: Limit, other: Limit) -> Limit {
+    if one.seconds() < other.seconds() { one } else { other }
+}
+
 /// A period to stay below, with the rate to stay above, both rounded to the safe side.
 fn longest_period(limit: Option<Limit>) -> String {
     match limit {
@@ -91,21 +96,50 @@ fn longest_period(limit: Option<Limit>) -> String {
 }
 
 impl Sampling {
+    /// Whether the loop is stable at this period and latency: by \[11] with the worst of the masses that are declared, and
+    /// by the spectral radius with the plant's own.
+    #[must_use]
+    pub fn is_stable(&self) -> bool {
+        self.radius < 1.0 && self.budget.is_none_or(|budget| budget.used < 1.0)
+    }
+
+    /// What may be added to the latency before the loop is unstable.
+    #[must_use]
+    pub fn delay_margin(&self) -> Limit {
+        let by_rule = self.budget.map(|budget| Limit::At(budget.delay_margin_s));
+        by_rule.map_or(self.radius_margin, |limit| sooner(limit, self.radius_margin))
+    }
+
+    /// The period that separates stable from unstable at this latency; none when no period is stable.
+    #[must_use]
+    pub fn longest_period(&self) -> Option<Limit> {
+        match self.budget {
+            Some(budget) => Some(sooner(Limit::At(budget.period_max_s?), self.radius_period?)),
+            None => self.radius_period,
+        }
+    }
+
     /// For people.
     #[must_use]
     pub fn render(&self, law: LawKind) -> String {
-        let mut text =
-            format!("sampled every {:.4} ms, torques {:.4} ms late\n", self.period_s * 1e3, self.latency_s * 1e3);
         let state = |stable: bool| if stable { "stable" } else { "UNSTABLE" };
+        let margin = self.delay_margin();
+        let mut text = format!(
+            "sampled every {:.4} ms, torques {:.4} ms late: {}, {}{} of delay left, {}\n",
+            self.period_s * 1e3,
+            self.latency_s * 1e3,
+            state(self.is_stable()),
+            if matches!(margin, Limit::Beyond(_)) { "more than " } else { "" },
+            rounded_down_ms(margin.seconds()),
+            longest_period(self.longest_period()),
+        );
         match &self.budget {
             Some(budget) => {
                 let _ = writeln!(
                     text,
-                    "  [11] {}: {:.1} % of the room used, {} of delay left, {}",
+                    "  [11] {}: the fastest mode uses {:.1} % of the room, with the worst masses that are declared",
                     state(budget.used < 1.0),
                     budget.used * 100.0,
-                    rounded_down_ms(budget.delay_margin_s),
-                    longest_period(budget.period_max_s.map(Limit::At)),
                 );
             }
             None => {
@@ -114,12 +148,9 @@ impl Sampling {
         }
         let _ = writeln!(
             text,
-            "  spectral radius {:.5}: {}, {}{} of delay left, {}",
+            "  spectral radius {:.5}: {}, linearised at rest, with the plant's own masses",
             self.radius,
             state(self.radius < 1.0),
-            if matches!(self.radius_margin, Limit::Beyond(_)) { "more than " } else { "" },
-            rounded_down_ms(self.radius_margin.seconds()),
-            longest_period(self.radius_period),
         );
         match &self.proven {
             Some(proven) => {
@@ -177,6 +208,9 @@ impl Sampling {
         json!({
             "period_s": self.period_s,
             "latency_s": self.latency_s,
+            "stable": self.is_stable(),
+            "delay_margin_s": self.delay_margin().seconds(),
+            "period_max_s": self.longest_period().map(Limit::seconds),
             "budget": budget,
             "spectral_radius": self.radius,
             "spectral_radius_margin_s": self.radius_margin.seconds(),

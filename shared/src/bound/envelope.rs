@@ -146,3 +146,25 @@ pub fn symmetric_eigen<const N: usize>(matrix: &Matrix<N>) -> ([f64; N], Matrix<
     }
     (core::array::from_fn(|i| m[(i, i)]), vectors)
 }
+
+/// λ and V of S V = M V diag(λ), VᵀMV = 1, M positive definite: by its Cholesky factor L and the eigenvectors of L⁻¹SL⁻ᵀ.
+#[must_use]
+pub fn generalised_eigen<const N: usize>(mass: &Matrix<N>, stiffness: &Matrix<N>) -> ([f64; N], Matrix<N>) {
+    let mut lower = Matrix::<N>::zeros();
+    for i in 0..N {
+        for j in 0..=i {
+            let known: f64 = (0..j).map(|k| lower[(i, k)] * lower[(j, k)]).sum();
+            let left = mass[(i, j)] - known;
+            lower[(i, j)] = if i == j { left.sqrt() } else { left / lower[(j, j)] };
+        }
+    }
+    let mut inverse = Matrix::<N>::zeros();
+    for j in 0..N {
+        for i in j..N {
+            let known: f64 = (j..i).map(|k| lower[(i, k)] * inverse[(k, j)]).sum();
+            inverse[(i, j)] = (if i == j { 1.0 } else { 0.0 } - known) / lower[(i, i)];
+        }
+    }
+    let (lambda, vectors) = symmetric_eigen(&(inverse * stiffness * inverse.transpose()));
+    (lambda, inverse.transpose() * vectors)
+}

@@ -16,7 +16,7 @@
 
 use nalgebra::Complex;
 
-use crate::bound::envelope::symmetric_eigen;
+use crate::bound::envelope::generalised_eigen;
 use crate::chain::{Chain, Matrix, Vector};
 use crate::law::{Law, LawKind};
 
@@ -38,7 +38,7 @@ impl<const N: usize> Modal<N> {
     pub(super) fn new(law: &Law<N>, plant: &Chain<N>, q: &Vector<N>) -> Self {
         let stiffness =
             |chain: &Chain<N>| Matrix::<N>::from_diagonal(&Vector::<N>::from_fn(|i, _| chain.b()[i] * libm::cos(q[i])));
-        let (lambda, modes) = modes(&plant.mass_matrix(q), &stiffness(plant));
+        let (lambda, modes) = generalised_eigen(&plant.mass_matrix(q), &stiffness(plant));
         let (unit, mass, gravity) = (Matrix::<N>::identity(), law.model.mass_matrix(q), stiffness(&law.model));
         let Law { beta, k_t, k_p, k_d, .. } = *law;
         let (on_q, on_v) = match law.kind {
@@ -67,27 +67,6 @@ impl<const N: usize> Modal<N> {
         });
         Sampled { of: self, modes, age: whole + 1.0 }
     }
-}
-
-/// λ and V of S V = M V diag(λ), VᵀMV = 1: by the Cholesky factor of M and the eigenvectors of L⁻¹SL⁻ᵀ.
-fn modes<const N: usize>(mass: &Matrix<N>, stiffness: &Matrix<N>) -> ([f64; N], Matrix<N>) {
-    let mut lower = Matrix::<N>::zeros();
-    for i in 0..N {
-        for j in 0..=i {
-            let known: f64 = (0..j).map(|k| lower[(i, k)] * lower[(j, k)]).sum();
-            let left = mass[(i, j)] - known;
-            lower[(i, j)] = if i == j { left.sqrt() } else { left / lower[(j, j)] };
-        }
-    }
-    let mut inverse = Matrix::<N>::zeros();
-    for j in 0..N {
-        for i in j..N {
-            let known: f64 = (j..i).map(|k| lower[(i, k)] * inverse[(k, j)]).sum();
-            inverse[(i, j)] = (if i == j { 1.0 } else { 0.0 } - known) / lower[(i, i)];
-        }
-    }
-    let (lambda, vectors) = symmetric_eigen(&(inverse * stiffness * inverse.transpose()));
-    (lambda, inverse.transpose() * vectors)
 }
 
 /// Off the diagonal there is rounding alone.

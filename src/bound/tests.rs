@@ -1,0 +1,148 @@
+use super::*;
+use loopbound_shared::bound::stability::radius::Limit;
+
+fn of(scenario: &Scenario, latency_s: f64) -> Answer {
+    with_links!(scenario.links(), examine::<N>(scenario, latency_s)).unwrap()
+}
+
+fn with(settings: &[&str]) -> Scenario {
+    Scenario::default().with_sets(settings).unwrap()
+}
+
+/// The answer to some settings, at the scenario's own actuation delay.
+fn answer(settings: &[&str]) -> Answer {
+    let scenario = with(settings);
+    of(&scenario, scenario.plant.actuation_delay.seconds())
+}
+
+#[test]
+fn the_papers_case_is_certified_and_a_small_c1_is_named_with_what_would_do() {
+    let good = answer(&[]);
+    assert!(good.render().starts_with("robust: certified\n") && good.holds());
+    let json = good.to_json();
+    // K_t of the defaults as the documentation states it: 106.8.
+    assert!((json["certificate"]["k_t"].as_f64().unwrap() - 106.8).abs() < 0.05, "{json}");
+    assert_eq!((&json["holds"], &json["outside"]), (&json!(true), &json!([])));
+    let bad = answer(&["controller.gains.c1=10"]);
+    let text = bad.render();
+    assert!(text.contains("NOT certified") && text.contains("C1") && text.contains("would do"), "{text}");
+    assert!(!bad.holds());
+}
+
+#[test]
+fn a_loop_that_is_certified_and_unstable_at_its_rate_is_called_both_and_fails() {
+    for (settings, latency_s, headline) in [
+        (&["loop.rate=200Hz"][..], 0.0, "robust: certified in continuous time, UNSTABLE at 200 Hz"),
+        (&[], 2e-3, "robust: certified in continuous time, UNSTABLE at 1000 Hz with torques 2.0000 ms late"),
+        (
+            &["controller.law=ctc", "controller.gains.level=8", "loop.rate=5Hz"],
+            0.0,
+            "ctc: certified in continuous time, UNSTABLE at 5 Hz",
+        ),
+        (&["controller.gains.c1=10", "loop.rate=200Hz"], 0.0, "robust: NOT certified, UNSTABLE at 200 Hz"),
+    ] {
+        let answer = of(&with(settings), latency_s);
+        assert_eq!(answer.render().lines().next(), Some(headline));
+        assert!(!answer.holds() && answer.to_json()["stable"] == json!(false));
+    }
+}
+
+#[test]
+fn a_plant_outside_of_what_the_controller_declares_is_named_line_by_line_and_fails() {
+    let off = answer(&["plant.mass_error=0.5", "plant.torque_limit_nm=1", "plant.noise.q_rad=1e-3"]);
+    let text = off.render();
+    assert_eq!(
+        text.lines().next(),
+        Some("robust: certified, and the plant is OUTSIDE of what the controller declares"),
+        "{text}"
+    );
+    assert_eq!(text.lines().filter(|line| line.starts_with("  outside: plant.")).count(), 3, "{text}");
+    let json = off.to_json();
+    assert_eq!(
+        (&json["certified"], &json["within_declared"], &json["holds"]),
+        (&json!(true), &json!(false), &json!(false))
+    );
+    assert_eq!(json["outside"].as_array().map(Vec::len), Some(3));
+    assert!(!off.holds() && off.sampling.is_stable());
+}
+
+#[test]
+fn every_shipped_scenario_has_a_plant_that_its_controller_declares_and_a_rate_at_which_it_is_stable() {
+    let mut certified = 0;
+    for entry in std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios")).unwrap() {
+        let scenario = Scenario::load(&entry.unwrap().path()).unwrap();
+        let answer = of(&scenario, 0.0);
+        assert!(answer.gaps.is_empty() && answer.sampling.is_stable(), "{}", answer.render());
+        certified += u32::from(answer.holds());
+    }
+    // All but seven links under `ctc`, whose start lies outside of its level.
+    assert_eq!(certified, 8);
+}
+
+#[test]
+fn the_latency_side_has_the_documented_room_age_and_hold_limit() {
+    let sampling = answer(&[]).sampling;
+    let budget = sampling.budget.unwrap();
+    // Figures of the documentation: d < 0.948 ms, h < 1.90 ms without delay.
+    assert!((budget.delay_margin_s - 0.948e-3).abs() < 5e-7 && (budget.period_max_s.unwrap() - 1.9e-3).abs() < 5e-6);
+    assert!(sampling.radius < 1.0 && sampling.hold_ticks > 0);
+    // 1 kHz is not proven beforehand.
+    assert!(sampling.proven.is_some_and(|p| p.age_s < 1e-3), "{:?}", sampling.proven);
+    assert!(sampling.render(LawKind::Robust).contains("left to the live check"));
+}
+
+/// The latency side alone.
+fn sampled(scenario: &Scenario, latency_s: f64) -> Sampling {
+    let certificate = system::certificate_of::<3>(scenario, scenario.controller.law).unwrap();
+    sampling::<3>(scenario, &certificate, latency_s).unwrap()
+}
+
+#[test]
+fn the_limits_of_delay_and_period_separate_stable_from_unstable_when_they_are_tried() {
+    let mismatched = ["controller.uncertainty.mass=0.2", "controller.gains.level=7.2", "controller.gains.k3=0.0367"];
+    for (settings, latency_s) in [
+        (&[][..], 0.0),
+        (&[], 4e-4),
+        (&[], 1.2e-3),
+        (&mismatched, 4e-4),
+        (&["controller.law=robust-ff", "controller.gains.level=10"], 2e-3),
+        (&["controller.law=ctc", "controller.gains.level=8"], 2e-3),
+        (&["loop.rate=170Hz"], 2e-3),
+        (&["loop.rate=300Hz"], 1.2e-3),
+    ] {
+        let scenario = with(settings);
+        let found = sampled(&scenario, latency_s);
+        let (margin, stable) = (found.delay_margin(), |latency_s| sampled(&scenario, latency_s).is_stable());
+        assert_eq!(found.is_stable(), margin.seconds() > 0.0);
+        if let (true, Limit::At(left_s)) = (found.is_stable(), margin) {
+            let tried = [1.0 - 1e-6, 1.0 + 1e-6].map(|share| stable(latency_s + left_s * share));
+            assert_eq!(tried, [true, false], "{settings:?} {latency_s}: {left_s}");
+        }
+        let Some(period) = found.longest_period() else {
+            assert!(!found.is_stable());
+            continue;
+        };
+        // Periods are whole nanoseconds.
+        let tried = [-2e-9, 2e-9].map(|by_s| {
+            let rate = format!("loop.rate={:.12}Hz", 1.0 / (period.seconds() + by_s));
+            sampled(&scenario.with_set(&rate).unwrap(), latency_s).is_stable()
+        });
+        assert_eq!(tried, [true, false], "{settings:?} {latency_s}: {period:?}");
+    }
+}
+
+#[test]
+fn a_latency_beyond_the_boundary_is_called_unstable_by_rule_and_radius_and_costs_the_smallest_w() {
+    let scenario = Scenario::default();
+    let late = of(&scenario, 2e-3).sampling;
+    assert!(late.budget.unwrap().used > 1.0 && late.radius > 1.0 && late.render(LawKind::Robust).contains("UNSTABLE"));
+    let w = |latency_s: f64| of(&scenario, latency_s).sampling.smallest_w.unwrap().w_norm;
+    assert!(w(1e-4) < w(1e-3), "a lower latency allows a larger gain and so a smaller radius");
+}
+
+#[test]
+fn computed_torque_is_judged_by_its_spectral_radius_alone() {
+    let sampling = of(&with(&["controller.law=ctc"]), 1e-3).sampling;
+    assert!(sampling.budget.is_none() && sampling.smallest_w.is_none() && sampling.radius < 1.0);
+    assert!(sampling.to_json()["budget"].is_null() && sampling.radius_margin.seconds() > 1e-3);
+}
