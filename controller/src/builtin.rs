@@ -28,8 +28,7 @@ impl<const N: usize> Controller for Builtin<N> {
     }
 
     fn claim(&self) -> Option<Claim> {
-        let Law { kind, beta, k_t, k_p, k_d, .. } = self.law;
-        Some(Claim { law: kind, beta, k_t, k_p, k_d })
+        Some(Claim::of_law(&self.law))
     }
 
     fn torque(&mut self, input: &Input<'_>, tau: &mut [f64]) {

@@ -3,7 +3,6 @@
 use loopbound_shared::event::{self, Phase};
 use loopbound_shared::fault::board::{Board, Injected};
 use loopbound_shared::fault::{FaultActions, FaultPlan};
-use loopbound_shared::law::LawKind;
 use loopbound_shared::realtime::Privileges;
 use loopbound_shared::role;
 use loopbound_shared::sample::{Announce, Origin, State, Torque, torque_flag};
@@ -56,9 +55,7 @@ impl<C: Controller> ControllerCore<C> {
         let name = self.controller.name();
         let mut ready = role::announce(event::Role::Controller, self.id, Phase::Ready, self.links, privileges, name);
         if let Some(claim) = self.controller.claim() {
-            let place = LawKind::ALL.iter().position(|law| *law == claim.law).unwrap_or(0);
-            ready.law = u32::try_from(place + 1).unwrap_or(0);
-            (ready.beta, ready.k_t, ready.k_p, ready.k_d) = (claim.beta, claim.k_t, claim.k_p, claim.k_d);
+            claim.announce_in(&mut ready);
         }
         ready
     }

@@ -16,7 +16,7 @@ pub use builtin::Builtin;
 pub use core::ControllerCore;
 pub use serve::{parse_args, run, serve, serve_until};
 
-use loopbound_shared::law::LawKind;
+pub use loopbound_shared::claim::Claim;
 
 /// What a controller sees of one tick. Every slice has one entry a link.
 #[derive(Clone, Copy, Debug)]
@@ -35,21 +35,6 @@ pub struct Input<'a> {
     pub v_d: &'a [f64],
     /// Desired accelerations, rad/s².
     pub a_d: &'a [f64],
-}
-
-/// A built-in law that a controller claims to be, with its gains: only then is it certified.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Claim {
-    /// The law.
-    pub law: LawKind,
-    /// β, 1/s.
-    pub beta: f64,
-    /// K_t, N·m·s.
-    pub k_t: f64,
-    /// K_p.
-    pub k_p: f64,
-    /// K_d.
-    pub k_d: f64,
 }
 
 /// A control law as a process runs it. Called once a tick in the real-time part: no allocation, lock or input and

@@ -6,10 +6,11 @@
 
 mod figures;
 
-use loopbound_shared::bound::certificate::{Certificate, Gains, StartError, certificate, certify};
+use loopbound_shared::bound::certificate::{Certificate, Gains, certify};
 use loopbound_shared::bound::diagnose::{Diagnosis, IntervalDiagnosis, Segment, Verdict};
-use loopbound_shared::bound::envelope::{Assumptions, Envelope};
+use loopbound_shared::bound::envelope::Assumptions;
 use loopbound_shared::chain::Chain;
+use loopbound_shared::claim::Claim;
 use loopbound_shared::event::{Decision, Role};
 use loopbound_shared::integrator::PlantState;
 use loopbound_shared::law::{Law, LawInput, LawKind};
@@ -35,7 +36,7 @@ const CLAIMS_MAX: usize = 64;
 
 /// What is known of one controller's law.
 #[derive(Clone, Debug)]
-struct Claim<const N: usize> {
+struct CertifiedLaw<const N: usize> {
     law: Law<N>,
     certificate: Certificate,
     shortfalls: Vec<String>,
@@ -46,7 +47,7 @@ struct Claim<const N: usize> {
 struct Said<const N: usize> {
     id: u32,
     /// Its law, if it announced one.
-    claim: Option<Claim<N>>,
+    claim: Option<CertifiedLaw<N>>,
     /// What it calls itself.
     name: String,
 }
@@ -56,17 +57,17 @@ struct Said<const N: usize> {
 pub struct Judge<const N: usize> {
     truth: Truth<N>,
     assumptions: Assumptions<N>,
-    envelope: Envelope,
     /// The start that each law's certificate has to cover, if any.
     starts: [Option<LawInput<N>>; LawKind::ALL.len()],
     scenario_gains: [Gains; LawKind::ALL.len()],
+    scenario_laws: [Claim; LawKind::ALL.len()],
     step_max_ns: u64,
     settle_ns: u64,
     period_ns: u64,
     late_ns: u64,
     actuation_delay_ns: u64,
     /// The scenario's own law, and the controllers that have it unless they say otherwise.
-    own: Option<Claim<N>>,
+    own: Option<CertifiedLaw<N>>,
     own_ids_max: u32,
     claims: Vec<Said<N>>,
     samples: Box<[Option<(u64, Sample<N>)>]>,
@@ -120,7 +121,6 @@ impl<const N: usize> Judge<N> {
     /// If the scenario describes no system.
     pub fn new(scenario: &Scenario) -> Result<Self, ScenarioError> {
         let assumptions = system::assumptions::<N>(scenario)?;
-        let envelope = assumptions.envelope();
         let scenario_gains = LawKind::ALL.map(|law| system::gains(scenario, law));
         let mut starts = [None; LawKind::ALL.len()];
         for law in LawKind::ALL {
@@ -129,9 +129,9 @@ impl<const N: usize> Judge<N> {
         let mut judge = Self {
             truth: scenario.build_truth()?,
             assumptions,
-            envelope,
             starts,
             scenario_gains,
+            scenario_laws: system::laws::<N>(scenario)?,
             step_max_ns: scenario.loop_.max_step.ns(),
             settle_ns: scenario.loop_.settle_ns(),
             period_ns: scenario.period_ns(),
@@ -149,11 +149,11 @@ impl<const N: usize> Judge<N> {
         };
         let law = scenario.controller.law;
         // A user's own executable has no law but the one that it announces.
-        judge.own = scenario.controller.exe.is_none().then(|| judge.claim(law, &scenario_gains[law as usize]));
+        judge.own = scenario.controller.exe.is_none().then(|| judge.law_of(law, &scenario_gains[law as usize]));
         Ok(judge)
     }
 
-    fn claim(&self, kind: LawKind, gains: &Gains) -> Claim<N> {
+    fn law_of(&self, kind: LawKind, gains: &Gains) -> CertifiedLaw<N> {
         let certification = certify(kind, &self.assumptions, gains, self.starts[kind as usize].as_ref());
         let certificate = certification.certificate;
         let law = Law {
@@ -165,7 +165,7 @@ impl<const N: usize> Judge<N> {
             k_d: gains.k_d,
         };
         let shortfalls = certification.failures.iter().map(ToString::to_string).collect();
-        Claim { law, certificate, shortfalls }
+        CertifiedLaw { law, certificate, shortfalls }
     }
 
     /// Takes what a controller says of its law. Gains other than the scenario's get a certificate of their own.
@@ -173,8 +173,7 @@ impl<const N: usize> Judge<N> {
         if announce.role != Role::Controller.code() {
             return;
         }
-        let kind = usize::try_from(announce.law).ok().and_then(|code| LawKind::ALL.get(code.checked_sub(1)?));
-        let claim = kind.map(|kind| self.claim_of(*kind, announce));
+        let claim = Claim::of(announce).map(|claim| self.certified(&claim));
         let said = Said { id: announce.id, claim, name: name_of(announce) };
         match self.claims.iter().position(|known| known.id == announce.id) {
             Some(at) => self.claims[at] = said,
@@ -188,26 +187,21 @@ impl<const N: usize> Judge<N> {
         }
     }
 
-    fn claim_of(&self, kind: LawKind, announce: &Announce) -> Claim<N> {
+    /// A claim with its certificate: the scenario's if it is the scenario's law, else one of its own.
+    fn certified(&self, claim: &Claim) -> CertifiedLaw<N> {
+        let kind = claim.law;
         let gains = self.scenario_gains[kind as usize];
-        let start = self.starts[kind as usize].map(|start| StartError::of(&self.assumptions.nominal, &start));
-        let scenarios = certificate(kind, &self.envelope, &gains, start.as_ref());
-        let same = |a: f64, b: f64| a.to_bits() == b.to_bits();
-        let same_gains = match kind {
-            LawKind::Robust | LawKind::RobustFf => same(announce.k_t, scenarios.k_t) && same(announce.beta, gains.beta),
-            LawKind::Ctc | LawKind::PdG => same(announce.k_p, gains.k_p) && same(announce.k_d, gains.k_d),
-        };
-        if same_gains {
-            return self.claim(kind, &gains);
+        if claim.is_same_law(&self.scenario_laws[kind as usize]) {
+            return self.law_of(kind, &gains);
         }
-        let k_t = matches!(kind, LawKind::Robust | LawKind::RobustFf).then_some(announce.k_t);
-        let Announce { beta, k_p, k_d, .. } = *announce;
-        let mut claim = self.claim(kind, &Gains { beta, k_p, k_d, k_t, ..gains });
-        claim.law.k_t = announce.k_t;
-        claim
+        let Claim { beta, k_p, k_d, .. } = *claim;
+        let k_t = matches!(kind, LawKind::Robust | LawKind::RobustFf).then_some(claim.k_t);
+        let mut law = self.law_of(kind, &Gains { beta, k_p, k_d, k_t, ..gains });
+        law.law.k_t = claim.k_t;
+        law
     }
 
-    fn claim_for(&self, id: u32) -> Option<&Claim<N>> {
+    fn claim_for(&self, id: u32) -> Option<&CertifiedLaw<N>> {
         claim_in(&self.claims, self.own.as_ref(), self.own_ids_max, id)
     }
 
@@ -283,7 +277,7 @@ impl<const N: usize> Judge<N> {
         self.samples[place(tick)].as_ref().filter(|(of, _)| *of == tick).map(|(_, sample)| sample)
     }
 
-    fn diagnose(&self, record: &TickRecord, claim: &Claim<N>, x: &LawInput<N>) -> Option<IntervalDiagnosis<N>> {
+    fn diagnose(&self, record: &TickRecord, claim: &CertifiedLaw<N>, x: &LawInput<N>) -> Option<IntervalDiagnosis<N>> {
         let used = segments(record);
         let span_ns = record.end_plant_ns.checked_sub(record.start_plant_ns);
         let unfit = span_ns.is_none_or(|span_ns| span_ns > SPAN_MAX_NS)
@@ -332,8 +326,9 @@ impl<const N: usize> Judge<N> {
         tick.saturating_mul(self.period_ns).saturating_add(self.late_ns + self.actuation_delay_ns)
     }
 
-    fn is_same_law(&self, writer: u32, claim: &Claim<N>) -> bool {
-        writer == 0 || self.claim_for(writer).is_some_and(|other| other.law == claim.law)
+    fn is_same_law(&self, writer: u32, claim: &CertifiedLaw<N>) -> bool {
+        let one = |of: &CertifiedLaw<N>| Claim::of_law(&of.law);
+        writer == 0 || self.claim_for(writer).is_some_and(|other| one(other).is_same_law(&one(claim)))
     }
 
     fn note_v(
@@ -423,10 +418,10 @@ impl<const N: usize> Judge<N> {
 /// The claim of a controller: its own, or the scenario's for those that have its law unless they say otherwise.
 fn claim_in<'a, const N: usize>(
     claims: &'a [Said<N>],
-    own: Option<&'a Claim<N>>,
+    own: Option<&'a CertifiedLaw<N>>,
     own_ids_max: u32,
     id: u32,
-) -> Option<&'a Claim<N>> {
+) -> Option<&'a CertifiedLaw<N>> {
     match claims.iter().find(|said| said.id == id) {
         Some(said) => said.claim.as_ref(),
         None => own.filter(|_| (1..=own_ids_max).contains(&id)),

@@ -3,6 +3,7 @@
 
 use loopbound_shared::bound::certificate::Certificate;
 use loopbound_shared::chain::Chain;
+use loopbound_shared::claim::Claim;
 use loopbound_shared::clock::seconds;
 use loopbound_shared::event::{Phase, Role};
 use loopbound_shared::integrator::PlantState;
@@ -21,6 +22,8 @@ const TOLERANCE: f64 = 1e-6;
 pub(crate) struct Laws<const N: usize> {
     true_chain: Chain<N>,
     certificates: [Certificate; LawKind::ALL.len()],
+    /// The scenario's laws, in the same order.
+    laws: [Claim; LawKind::ALL.len()],
     claims: [Option<(u32, usize)>; RECEIPTS_MAX],
 }
 
@@ -30,27 +33,18 @@ impl<const N: usize> Laws<N> {
         for (place, law) in certificates.iter_mut().zip(LawKind::ALL) {
             *place = system::certificate_of::<N>(scenario, law)?;
         }
-        Ok(Self { true_chain: scenario.build_truth()?.chain, certificates, claims: [None; RECEIPTS_MAX] })
+        let laws = system::laws::<N>(scenario)?;
+        Ok(Self { true_chain: scenario.build_truth()?.chain, certificates, laws, claims: [None; RECEIPTS_MAX] })
     }
 
-    /// A controller claims a law; only one whose gains are those of the scenario's certificate counts as it. When all
+    /// A controller claims a law; the certificate is that of the scenario's law, so one with other gains has none here. When all
     /// places are taken, one whose controller is no member any more is given away.
     pub(crate) fn learn(&mut self, announce: &Announce, is_member: impl Fn(u32) -> bool) {
         if announce.role != Role::Controller.code() || announce.phase != Phase::Ready.code() {
             return;
         }
-        let law = (announce.law as usize).checked_sub(1).filter(|law| *law < self.certificates.len());
-        let same_gains = |law: &usize| {
-            let certificate = &self.certificates[*law];
-            match LawKind::ALL[*law] {
-                LawKind::Robust | LawKind::RobustFf => announce.k_t.to_bits() == certificate.k_t.to_bits(),
-                LawKind::Ctc | LawKind::PdG => {
-                    announce.k_p.to_bits() == certificate.k_p.to_bits()
-                        && announce.k_d.to_bits() == certificate.k_d.to_bits()
-                }
-            }
-        };
-        let law = law.filter(same_gains);
+        let claim = Claim::of(announce);
+        let law = claim.and_then(|claim| self.laws.iter().position(|law| claim.is_same_law(law)));
         let id = announce.id;
         self.forget(id);
         let Some(law) = law else { return };
@@ -118,5 +112,41 @@ pub(crate) struct At<'a, const N: usize> {
 impl<const N: usize> Judge for At<'_, N> {
     fn level(&self, id: u32) -> Option<(f64, f64)> {
         self.laws.v_of(id, &self.state, &self.setpoint).map(|(certificate, v)| (v, certificate.level))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use loopbound_shared::chain::Vector;
+
+    /// V and level that the gate finds for a controller with this claim, away from the setpoint.
+    fn gate_finds(claim: Claim) -> Option<(f64, f64)> {
+        let mut laws = Laws::<3>::new(&Scenario::default()).unwrap();
+        let mut announce =
+            Announce { role: Role::Controller.code(), phase: Phase::Ready.code(), id: 7, ..Announce::zeroed() };
+        claim.announce_in(&mut announce);
+        laws.learn(&announce, |_| true);
+        let state = PlantState { q: Vector::zeros(), v: Vector::zeros() };
+        let setpoint = SetpointValue { q_d: Vector::repeat(0.1), v_d: Vector::zeros(), a_d: Vector::zeros() };
+        laws.at(&state, &setpoint).level(7)
+    }
+
+    #[test]
+    fn the_gate_takes_the_scenarios_certificate_for_the_scenarios_law_alone() {
+        let [robust, robust_ff, ctc, _] = system::laws::<3>(&Scenario::default()).unwrap();
+        for law in [robust, robust_ff] {
+            let (v, level) = gate_finds(law).expect("it is certified");
+            assert!(v > 0.0 && level > 0.0);
+            // The same K_t with another beta is another V.
+            assert_eq!(gate_finds(Claim { beta: law.beta * 2.0, ..law }), None);
+            assert_eq!(gate_finds(Claim { k_t: law.k_t + 1.0, ..law }), None);
+            // What the law does not use makes no other law of it.
+            assert_eq!(gate_finds(Claim { k_p: 1.0, k_d: 1.0, ..law }), Some((v, level)));
+        }
+        let found = gate_finds(ctc);
+        assert!(found.is_some());
+        assert_eq!(gate_finds(Claim { beta: 1.0, k_t: 1.0, ..ctc }), found);
+        assert_eq!(gate_finds(Claim { k_d: 9.0, ..ctc }), None);
     }
 }

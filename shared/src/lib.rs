@@ -6,6 +6,7 @@
 pub mod bound;
 pub mod cast;
 pub mod chain;
+pub mod claim;
 pub mod clock;
 pub mod doorbell;
 pub mod event;

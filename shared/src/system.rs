@@ -11,6 +11,7 @@ use crate::bound::certificate::{Certificate, Certification, Gains, StartError, c
 use crate::bound::coverage::{Gap, Surroundings, gaps as gaps_of};
 use crate::bound::envelope::Assumptions;
 use crate::chain::Vector;
+use crate::claim::Claim;
 use crate::clock::seconds;
 use crate::integrator::PlantState;
 use crate::law::{Law, LawInput, LawKind};
@@ -129,4 +130,16 @@ pub fn gaps<const N: usize>(scenario: &Scenario, kind: LawKind) -> Result<Vec<Ga
     };
     let (truth, assumptions) = (scenario.build_truth::<N>()?, assumptions::<N>(scenario)?);
     Ok(gaps_of(&truth, &assumptions, &law::<N>(scenario, kind)?, &certificate_of::<N>(scenario, kind)?, &around))
+}
+
+/// What the controllers of a scenario claim: its laws, in the order of [`LawKind::ALL`].
+///
+/// # Errors
+/// If the scenario describes no system.
+pub fn laws<const N: usize>(scenario: &Scenario) -> Result<[Claim; LawKind::ALL.len()], ScenarioError> {
+    let mut laws = [Claim::of_law(&law::<N>(scenario, LawKind::Robust)?); LawKind::ALL.len()];
+    for (place, kind) in laws.iter_mut().zip(LawKind::ALL) {
+        *place = Claim::of_law(&law::<N>(scenario, kind)?);
+    }
+    Ok(laws)
 }

@@ -10,6 +10,7 @@ use loopbound_controller::{Builtin, ControllerCore};
 use loopbound_plant::Brake;
 use loopbound_shared::cast;
 use loopbound_shared::chain::Vector;
+use loopbound_shared::claim::Claim;
 use loopbound_shared::event::{CommandKind, Decision, HappeningKind, LiveFault, Role};
 use loopbound_shared::fault::FaultPlan;
 use loopbound_shared::integrator::{PlantState, integrate};
@@ -132,11 +133,9 @@ impl<const N: usize> Engine<N> {
         if announce.role != Role::Controller.code() || known || named {
             return Ok(());
         }
-        let kind = usize::try_from(announce.law).ok().and_then(|code| LawKind::ALL.get(code.checked_sub(1)?));
-        let Some(kind) = kind else { return Ok(()) };
-        let found = Known::new(&self.scenario, announce.id, *kind)?;
-        let gains = |of: &Announce| [of.beta, of.k_t, of.k_p, of.k_d].map(f64::to_bits);
-        if gains(&found.announcement) == gains(announce) {
+        let Some(claim) = Claim::of(announce) else { return Ok(()) };
+        let found = Known::new(&self.scenario, announce.id, claim.law)?;
+        if claim.is_same_law(&Claim::of_law(&found.law)) {
             self.controllers.push(found);
         }
         Ok(())
@@ -303,5 +302,27 @@ impl<const N: usize> Known<N> {
             faults: FaultPlan::for_target(scenario, scenario::Role::Controller, id),
             announcement: core.announcement(Privileges::default()),
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_controller_brought_in_by_hand_is_computed_again_if_its_law_is_the_scenarios() {
+        let scenario = Scenario::default();
+        let [robust, _, ctc, _] = system::laws::<3>(&scenario).unwrap();
+        let known = |claim: Claim| {
+            let mut engine = Engine::<3>::new(&scenario, &TickRecord::zeroed()).unwrap();
+            let mut announce = Announce { role: Role::Controller.code(), id: 9, ..Announce::zeroed() };
+            claim.announce_in(&mut announce);
+            engine.learn(&announce).unwrap();
+            engine.announcements().any(|announce| announce.id == 9)
+        };
+        assert!(known(robust) && known(ctc));
+        assert!(!known(Claim { beta: 1.0, ..robust }), "another beta is another law");
+        assert!(known(Claim { beta: 1.0, ..ctc }), "it has no beta");
+        assert!(!known(Claim { k_p: 1.0, ..ctc }));
     }
 }

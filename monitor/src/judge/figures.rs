@@ -6,7 +6,7 @@ use loopbound_shared::bound::diagnose::{IntervalDiagnosis, Verdict};
 use loopbound_shared::bound::stability::sampling_budget_with_jitter;
 use loopbound_shared::law::LawKind;
 
-use super::Claim;
+use super::CertifiedLaw;
 use crate::summary::{BoundSummary, LawSummary, finite};
 
 /// Laws whose figures are kept apart; beyond them the oldest is forgotten, and only its counts stay.
@@ -40,7 +40,7 @@ struct Counts {
 /// What was seen under one law.
 #[derive(Clone, Debug)]
 pub(super) struct OfLaw<const N: usize> {
-    claim: Option<Claim<N>>,
+    claim: Option<CertifiedLaw<N>>,
     /// What the controller that had it last calls itself.
     name: Option<String>,
     controllers: Vec<u32>,
@@ -77,7 +77,7 @@ impl<const N: usize> Default for Figures<N> {
 impl<const N: usize> Figures<N> {
     /// A controller is in charge, with the law that is known of it, and what it calls itself. The places of laws that are known
     /// already are kept; an unknown law is a controller's own.
-    pub(super) fn turn_to(&mut self, controller: u32, claim: Option<&Claim<N>>, name: Option<&str>) {
+    pub(super) fn turn_to(&mut self, controller: u32, claim: Option<&CertifiedLaw<N>>, name: Option<&str>) {
         let is_it = |of: &OfLaw<N>| match (&of.claim, claim) {
             (Some(known), Some(claim)) => known.law == claim.law,
             (None, None) => of.controllers.contains(&controller),
@@ -144,7 +144,7 @@ impl<const N: usize> Figures<N> {
 
     /// The figures so far: those of the law in charge last, with the counts of the whole run and the list of all laws.
     /// `unseen` stands for a run in which nobody has been in charge yet.
-    pub(super) fn summary(&self, unseen: Option<&Claim<N>>) -> BoundSummary {
+    pub(super) fn summary(&self, unseen: Option<&CertifiedLaw<N>>) -> BoundSummary {
         let mut summary = match self.current.and_then(|at| self.laws.get(at)) {
             Some(of) => of.summary(),
             None => OfLaw::new(unseen.cloned()).summary(),
@@ -166,7 +166,7 @@ impl<const N: usize> Figures<N> {
 }
 
 impl<const N: usize> OfLaw<N> {
-    fn new(claim: Option<Claim<N>>) -> Self {
+    fn new(claim: Option<CertifiedLaw<N>>) -> Self {
         Self {
             claim,
             name: None,
@@ -233,7 +233,7 @@ impl Counts {
     }
 }
 
-fn put_certificate<const N: usize>(summary: &mut BoundSummary, claim: &Claim<N>) {
+fn put_certificate<const N: usize>(summary: &mut BoundSummary, claim: &CertifiedLaw<N>) {
     let certificate = &claim.certificate;
     summary.law = Some(claim.law.kind.name().to_owned());
     summary.certified = certificate.is_certified();
