@@ -13,7 +13,7 @@ use std::io::Read as _;
 use clap::Args;
 use loopbound_shared::clock::{NS_PER_S, now_ns, sleep_ns};
 use loopbound_shared::event::Role;
-use loopbound_shared::group::Group;
+use loopbound_shared::group::{Group, list, sweep_if_dead};
 use loopbound_shared::realtime::{Signal, keep_off_cores};
 use loopbound_shared::role::realtime_request;
 use loopbound_shared::run_id::RunId;
@@ -63,11 +63,23 @@ pub fn run(args: &KeeperArgs) -> anyhow::Result<Exit> {
     wait_for_the_end_of_input();
     let launcher_lives = getppid().is_some_and(|pid| pid.as_raw_nonzero().get().unsigned_abs() == args.parent);
     end_all(&Run::new(args, launcher_lives), if launcher_lives { AFTER_RUN_NS } else { AFTER_DEATH_NS });
-    if let Some(group) = group {
+    match group {
         // After an ordinary run the launcher is the last.
-        group.leave_last(if launcher_lives { 0 } else { AFTER_KILL_NS });
+        Some(group) => group.leave_last(if launcher_lives { 0 } else { AFTER_KILL_NS }),
+        None if launcher_lives => {}
+        None => sweep_what_nobody_holds(&args.group),
     }
     Ok(Exit::Held)
+}
+
+/// A launcher that was killed so early that this process could not join its group has left the folder behind. It gives up
+/// its hold when the kernel has taken it down.
+fn sweep_what_nobody_holds(group: &str) {
+    let until_ns = now_ns() + AFTER_KILL_NS;
+    let is_there = || list().is_ok_and(|found| found.iter().any(|one| one.name == group));
+    while is_there() && now_ns() < until_ns && sweep_if_dead(group).is_ok() {
+        sleep_ns(LOOK_NS_MAX);
+    }
 }
 
 /// It sleeps all the time; where it wakes at last, nobody should be disturbed.

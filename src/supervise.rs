@@ -12,6 +12,7 @@ mod keeper;
 mod prolong;
 mod record;
 mod roster;
+mod starting;
 mod succession;
 mod swapping;
 mod watchdog;
@@ -54,8 +55,6 @@ use succession::{Due, Retirement};
 use swapping::Swapping;
 use watchdog::Watchdog;
 
-/// Time for every process to become ready.
-const READY_NS: u64 = 10_000_000_000;
 /// Interval between two looks at a running group.
 const LOOK_NS: u64 = 50_000_000;
 /// The same while a swap is under way.
@@ -248,53 +247,6 @@ impl<'a> Supervisor<'a> {
         self.block.pace().plant_ended.load(SeqCst) != 0
     }
 
-    /// `None` when all are ready.
-    fn wait_until_ready(&mut self) -> Option<End> {
-        let until_ns = self.started_ns + READY_NS;
-        loop {
-            self.listen();
-            if let Some(exit) = self.options.stop.requested() {
-                return Some(End::Stopped(exit));
-            }
-            for child in &mut self.children {
-                if child.reap() {
-                    return Some(End::NotStarted(not_started(child)));
-                }
-            }
-            let missing: Vec<String> = self.children.iter().filter(|c| !c.ready()).map(|c| c.process.name()).collect();
-            if missing.is_empty() {
-                // What two processes made together while they started.
-                if let Err(why) = self.group.take_room() {
-                    return Some(End::NotStarted(Failure { exit: Exit::Internal, message: why.to_string() }));
-                }
-                self.ready_ns = clock::now_ns();
-                return None;
-            }
-            if clock::now_ns() >= until_ns {
-                let message = format!("not ready within {} s: {}", READY_NS / clock::NS_PER_S, missing.join(", "));
-                return Some(End::NotStarted(Failure { exit: Exit::RoleDied, message }));
-            }
-            clock::sleep_ns(1_000_000);
-        }
-    }
-
-    /// Gives the plant its members and its clock, then watches until the end.
-    fn run(&mut self) -> End {
-        let start = cast::opening_commands(self.scenario, self.scenario.loop_.ticks());
-        for command in start {
-            if let Err(why) = self.command(command) {
-                let message = format!("the plant did not start: {why}");
-                return End::NotStarted(Failure { exit: Exit::Internal, message });
-            }
-        }
-        self.active = 1;
-        for child in &mut self.children {
-            child.member = child.process.role == Role::Controller;
-        }
-        self.set_priorities();
-        self.watch()
-    }
-
     fn controllers(&self) -> impl Iterator<Item = &Child> {
         self.children.iter().filter(|c| c.process.role == Role::Controller)
     }
@@ -471,14 +423,7 @@ impl<'a> Supervisor<'a> {
     /// Asks the plant for something; an error says why it was not done.
     fn command(&self, command: Command) -> Result<Reply, String> {
         let reply = self.ask_plant(command)?;
-        match ReplyKind::from_code(reply.kind) {
-            Some(ReplyKind::Done | ReplyKind::Pending) => Ok(reply),
-            _ => {
-                let kind = event::CommandKind::from_code(command.kind).map_or("command", event::CommandKind::name);
-                let reason = Refusal::from_code(reply.reason).map_or("no reason given", Refusal::name);
-                Err(format!("{kind}: {reason}"))
-            }
-        }
+        refusal(command, reply).map_or(Ok(reply), Err)
     }
 
     /// The plant's answer, whatever it is; an error if it gives none.
@@ -543,18 +488,14 @@ impl<'a> Supervisor<'a> {
     }
 }
 
-fn not_started(child: &Child) -> Failure {
-    let said = child.said();
-    let why = if said.is_empty() { child.how_ended() } else { said.join("\n  ") };
-    Failure {
-        exit: match child.ended.and_then(|(status, _)| status.code()) {
-            Some(code) if code == i32::from(Exit::Usage.code()) => Exit::Usage,
-            // A want of the machine's, which the child has named.
-            Some(code) if code == i32::from(Exit::Internal.code()) => Exit::Internal,
-            _ => Exit::RoleDied,
-        },
-        message: format!("{} did not start: {why}", child.process.name()),
+/// Why the plant has not done what it was asked for; none if it has, or is about to.
+fn refusal(command: Command, reply: Reply) -> Option<String> {
+    if matches!(ReplyKind::from_code(reply.kind), Some(ReplyKind::Done | ReplyKind::Pending)) {
+        return None;
     }
+    let kind = event::CommandKind::from_code(command.kind).map_or("command", event::CommandKind::name);
+    let reason = Refusal::from_code(reply.reason).map_or("no reason given", Refusal::name);
+    Some(format!("{kind}: {reason}"))
 }
 
 impl std::fmt::Display for End {

@@ -2,14 +2,18 @@
 //!
 //! ```text
 //! cargo run --release --example soak -- --swaps 500 --kills 300 --groups 300
+//! cargo run --release --example soak -- --swaps 0 --kills 0 --groups 0 --load 0 --signals 500
 //! ```
 //!
 //! It is its own `loopbound`: called with a subcommand it behaves as one, so that nothing else need be built. It ends
 //! with code 1 if anything was left behind, hung, or was not as it should be; ticks that the host cost are only counted.
 
+mod barrage;
 mod groups;
 mod kills;
 mod live;
+mod remains;
+mod signals;
 mod swaps;
 mod trace;
 
@@ -30,15 +34,21 @@ struct Args {
     /// Groups in which random roles are killed, one kill a group.
     #[arg(long, default_value_t = 6)]
     groups: u32,
+    /// Groups of which random processes get random signals at random instants, many in the first 40 ms.
+    #[arg(long, default_value_t = 6)]
+    signals: u64,
+    /// Number of the first of these groups: to see one of them again.
+    #[arg(long, default_value_t = 0)]
+    first: u64,
     /// Threads that compute for nothing at the ordinary priority meanwhile.
     #[arg(long, default_value_t = 2)]
     load: u32,
-    /// The sequence of victims.
+    /// The sequence of victims, instants and signals.
     #[arg(long, default_value_t = 1)]
     seed: u64,
 }
 
-const SUBCOMMANDS: [&str; 6] = ["run", "swap", "plant", "controller", "reference", "monitor"];
+const SUBCOMMANDS: [&str; 8] = ["run", "swap", "clean", "keeper", "plant", "controller", "reference", "monitor"];
 
 fn main() -> ExitCode {
     if std::env::args().nth(1).is_some_and(|first| SUBCOMMANDS.contains(&first.as_str())) {
@@ -69,6 +79,9 @@ fn soak(args: &Args) -> anyhow::Result<u32> {
     }
     if args.groups > 0 {
         faults += groups::run(args.groups, args.seed)?;
+    }
+    if args.signals > 0 {
+        faults += signals::run(args.signals, args.first, args.seed)?;
     }
     Ok(faults)
 }

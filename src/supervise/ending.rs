@@ -94,7 +94,7 @@ impl Supervisor<'_> {
     }
 
     /// Waits until every process of `role` has ended, at most `timeout_ns`; whether all have.
-    fn wait_for(&mut self, role: Role, timeout_ns: u64) -> bool {
+    pub(super) fn wait_for(&mut self, role: Role, timeout_ns: u64) -> bool {
         self.wait_until_ended(|child| child.process.role == role, timeout_ns)
     }
 

@@ -13,8 +13,9 @@ use loopbound_shared::sample::{Announce, Command, Reply, TickRecord};
 use loopbound_shared::scenario::{Restart, Role, Scenario, ScenarioError};
 use loopbound_shared::with_links;
 
+use super::Supervisor;
 use super::control::{Answer, Client, Request, SwapReport, SwapRequest};
-use super::{READY_NS, Supervisor};
+use super::starting::READY_NS;
 use crate::processes::Process;
 
 /// Latencies before and after are those of so long, and misses count for less.

@@ -1,9 +1,10 @@
 //! Whoever is killed is named, never hangs the rest, and leaves nothing; what is recovered is recovered.
 
+use loopbound_shared::realtime::ProcessHandle;
 use rustix::process::Signal;
 use serde_json::Value;
 
-use crate::harness::{Case, Ended, Running, send, wait_until};
+use crate::harness::{Case, Ended, Running, processes_that_mention, send, wait_until};
 
 const LONG: &str = "[loop]\nduration = \"2s\"\n";
 const HELD_OR_NOT: [i32; 3] = [0, 1, 3];
@@ -184,6 +185,24 @@ fn a_signal_during_the_start_ends_it_without_a_trace() {
     running.signal(Signal::INT);
     assert_eq!(running.wait().code, Some(130));
     case.assert_nothing_left();
+}
+
+#[test]
+fn a_plant_that_a_signal_ends_before_the_clock_runs_is_a_lost_role_and_no_fault_of_loopbound() {
+    for signal in [Signal::TERM, Signal::HUP, Signal::KILL] {
+        let case = Case::new("plant-early");
+        let running = case.run("[loop]\nduration = \"1h\"\n", &[]);
+        wait_until("the plant is being started", || {
+            let lines = processes_that_mention(&case.group);
+            let plant = lines.iter().find(|line| line.contains(" plant --group "));
+            let pid = plant.and_then(|line| line.split_once(':')?.0.parse().ok());
+            pid.is_some_and(|pid| ProcessHandle::open(pid).is_ok_and(|plant| plant.signal(signal).is_ok()))
+        });
+        let ended = running.wait();
+        assert_eq!(ended.code, Some(5), "{signal:?}: {ended:?}");
+        assert!(ended.err.contains("plant"), "{ended:?}");
+        case.assert_nothing_left();
+    }
 }
 
 #[test]

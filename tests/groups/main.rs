@@ -5,9 +5,13 @@
 //! asserts how long anything took on the clock, which is the machine's affair.
 #![allow(clippy::disallowed_macros, reason = "the harness keeps what a test prints")]
 
+#[path = "../../examples/soak/barrage.rs"]
+mod barrage;
 mod fold;
 mod harness;
 mod input;
+#[path = "../../examples/soak/remains.rs"]
+mod remains;
 mod untested;
 
 mod attached;
@@ -25,6 +29,7 @@ mod recording;
 mod resources;
 mod results;
 mod scenario_faults;
+mod signals;
 mod stopped;
 mod strangers;
 mod streams;
