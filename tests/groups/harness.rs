@@ -13,6 +13,8 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use tempfile::TempDir;
 
+use crate::untested::not_tested;
+
 /// The longest that any wait may last, s: far beyond what a loaded machine takes, and short of a hang.
 pub(crate) const PATIENCE_S: u64 = 30;
 /// Who has no privileges at all.
@@ -65,7 +67,7 @@ impl Case {
         &self.folder
     }
 
-    /// The same command as a user without privileges; `None`, and a word of it, if this process may not become one.
+    /// The same command as a user without privileges; `None`, and a note of it, if this process may not become one.
     pub(crate) fn command_of_a_stranger(&self, arguments: &[&str]) -> Option<Command> {
         self.strangers_command_of(Path::new(env!("CARGO_BIN_EXE_loopbound")), arguments)
     }
@@ -73,7 +75,7 @@ impl Case {
     /// The same of another executable, which is copied to where that user may read it.
     pub(crate) fn strangers_command_of(&self, executable: &Path, arguments: &[&str]) -> Option<Command> {
         if !rustix::process::getuid().is_root() {
-            eprintln!("skipped: only root can come as another user");
+            not_tested("another user", "only root can come as one");
             return None;
         }
         let copy = self.work.path().join("strangers-copy");

@@ -11,6 +11,7 @@ use loopbound_shared::rng::{Stream, bits};
 use rustix::process::Signal;
 
 use crate::harness::{Case, Running, processes_that_mention, send, wait_until};
+use crate::untested::not_tested;
 
 const FOREVER: &str = "[loop]\nrate = \"100Hz\"\nduration = \"1h\"\nwakeup = \"block\"\n";
 
@@ -154,8 +155,7 @@ fn killed_in_any_order_a_run_leaves_nobody_and_nothing() {
 fn a_terminal_that_is_closed_under_the_live_view_leaves_nothing() {
     let case = Case::new("closed");
     if Command::new("script").arg("--version").stdout(Stdio::null()).status().is_err() {
-        eprintln!("skipped: the terminal is made by `script`, which is not here");
-        return;
+        return not_tested("a terminal that is closed", "it is made by `script`, which is not here");
     }
     let file = case.write("scenario.toml", &format!("{FOREVER}[controller]\nlaw = \"ctc\"\n"));
     let run = format!("{} run {} --tui --group {}", env!("CARGO_BIN_EXE_loopbound"), file.display(), case.group);

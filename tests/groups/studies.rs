@@ -7,6 +7,7 @@ use rustix::process::Signal;
 use serde_json::Value;
 
 use crate::harness::{Case, Running, processes_that_mention, wait_until};
+use crate::untested::not_tested;
 
 /// The study of one rate with its results in the folder `out` of the test.
 fn start(case: &Case, options: &[&str]) -> Running {
@@ -138,7 +139,7 @@ fn a_killed_study_takes_its_run_along() {
 fn who_has_no_privileges_is_told_that_the_cases_with_them_are_not_to_be_had() {
     let case = Case::as_nobody("poor-study");
     if !rustix::process::getuid().is_root() {
-        return;
+        return not_tested("a study without privileges", "only root can give them up");
     }
     let running = start(&case, &[&["--privileges", "with", "--wakeups", "block,spin"][..], &SHORT].concat());
     let study = running.pid();

@@ -11,6 +11,7 @@ use loopbound_shared::group::object_prefix;
 use rustix::process::{Signal, getuid};
 
 use crate::harness::{Case, Ended, NOBODY};
+use crate::untested::not_tested;
 
 const LONG: &str = "[loop]\nduration = \"1h\"\nwakeup = \"event\"\n";
 
@@ -42,8 +43,7 @@ fn close_to_others(folder: &Path) {
 fn a_strangers_folder_in_the_place_of_ours_is_refused_and_what_its_links_lead_to_is_kept() {
     let case = Case::apart("foreign");
     if !getuid().is_root() {
-        eprintln!("skipped: only root can make another user's folder");
-        return;
+        return not_tested("a folder of another user's", "only root can make one");
     }
     let target = case.work.path().join("target");
     precious(&target);
