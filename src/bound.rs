@@ -7,14 +7,14 @@ pub mod sampling;
 use std::io::Write as _;
 
 use clap::Args;
-use loopbound_shared::bound::certificate::{Certificate, Certification};
-use loopbound_shared::bound::coverage::Gap;
-use loopbound_shared::law::LawKind;
-use loopbound_shared::quote;
+use loopbound_model::bound::certificate::{Certificate, Certification};
+use loopbound_model::bound::coverage::Gap;
+use loopbound_model::law::LawKind;
+use loopbound_model::quote;
+use loopbound_model::with_links;
+use loopbound_scenario::system;
+use loopbound_scenario::{Scenario, ScenarioError, parse_duration};
 use loopbound_shared::say;
-use loopbound_shared::scenario::{Scenario, ScenarioError, parse_duration};
-use loopbound_shared::system;
-use loopbound_shared::with_links;
 use serde_json::{Value, json};
 
 use self::sampling::{Sampling, sampling};

@@ -10,10 +10,10 @@ use loopbound_monitor::folder::{FolderError, Look, Manifest, known, recorded_sce
 use loopbound_monitor::summary::Verdict;
 use loopbound_monitor::verdict::blocks::{self, Blocks};
 use loopbound_monitor::verdict::{expectations, judge_summary, reports};
+use loopbound_scenario::ExpectSection;
+use loopbound_scenario::input;
 use loopbound_shared::headline::Headline;
-use loopbound_shared::input;
 use loopbound_shared::say;
-use loopbound_shared::scenario::ExpectSection;
 
 use crate::conclusion::conclude;
 use crate::exit::{Exit, Failure};

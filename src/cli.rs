@@ -6,13 +6,13 @@ use std::process::ExitCode;
 
 use clap::{Args, CommandFactory as _, Parser, Subcommand};
 use clap_complete::Shell;
+use loopbound_model::law::LawKind;
+use loopbound_model::quote;
 use loopbound_monitor::live::{Address, Origin};
-use loopbound_shared::law::LawKind;
-use loopbound_shared::quote;
+use loopbound_scenario::system;
+use loopbound_scenario::{Mode, Scenario, Wakeup, parse_duration, parse_rate};
 use loopbound_shared::role::RoleArgs;
 use loopbound_shared::say;
-use loopbound_shared::scenario::{Mode, Scenario, Wakeup, parse_duration, parse_rate};
-use loopbound_shared::system;
 
 use crate::exit::Exit;
 use crate::{

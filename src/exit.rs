@@ -3,10 +3,10 @@
 
 use std::process::ExitCode;
 
+use loopbound_scenario::ScenarioError;
 use loopbound_shared::group::GroupError;
 use loopbound_shared::headline::Headline;
 use loopbound_shared::role::RoleError;
-use loopbound_shared::scenario::ScenarioError;
 
 /// How a command ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

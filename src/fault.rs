@@ -3,9 +3,9 @@
 use std::io::Write as _;
 
 use clap::Args;
+use loopbound_scenario::parse_duration;
 use loopbound_shared::event::LiveFault;
 use loopbound_shared::say;
-use loopbound_shared::scenario::parse_duration;
 
 use crate::cli::word;
 use crate::exit::{Exit, Failure};

@@ -7,11 +7,12 @@ use loopbound_controller::{Builtin, ControllerCore};
 use loopbound_plant::PlantCore;
 use loopbound_plant::lockstep::{judge, open};
 use loopbound_reference::Generator;
-use loopbound_shared::cast;
+use loopbound_scenario::controllers;
+use loopbound_scenario::{Scenario, ScenarioError};
 use loopbound_shared::event::{CommandKind, Refusal};
+use loopbound_shared::opening;
 use loopbound_shared::realtime::Privileges;
 use loopbound_shared::sample::{Command, TickRecord, Torque};
-use loopbound_shared::scenario::{Scenario, ScenarioError};
 
 /// A group without processes, on virtual time.
 pub struct InProcess<const N: usize> {
@@ -32,12 +33,12 @@ impl<const N: usize> InProcess<N> {
     pub fn new(scenario: &Scenario) -> Result<Self, ScenarioError> {
         let mut plant = PlantCore::new(scenario, false)?;
         let mut controllers = Vec::new();
-        for part in cast::controllers(scenario) {
+        for part in controllers::of(scenario) {
             let core = ControllerCore::new(scenario, part.id, Builtin::new(scenario, part.law)?);
             plant.learn(&core.announcement(Privileges::default()));
             controllers.push((part.id, core));
         }
-        for command in cast::opening_commands(scenario, scenario.loop_.ticks()) {
+        for command in opening::commands(scenario, scenario.loop_.ticks()) {
             if command.kind == CommandKind::Start.code() {
                 // The controllers have just been added, and there is room for them: see the scenario's limits.
                 let appointed = plant.authority.appoint(command.controller);

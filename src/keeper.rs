@@ -11,13 +11,13 @@ mod members;
 use std::io::Read as _;
 
 use clap::Args;
+use loopbound_scenario::Scenario;
 use loopbound_shared::clock::{NS_PER_S, now_ns, sleep_ns};
 use loopbound_shared::event::Role;
 use loopbound_shared::group::{Group, list, sweep_if_dead};
 use loopbound_shared::realtime::{Signal, keep_off_cores};
 use loopbound_shared::role::realtime_request;
 use loopbound_shared::run_id::RunId;
-use loopbound_shared::scenario::Scenario;
 use rustix::process::getppid;
 
 use crate::exit::Exit;

@@ -6,12 +6,12 @@ use std::io::{BufRead, BufWriter, Write};
 
 use anyhow::Context as _;
 use clap::Args;
-use loopbound_shared::chain::{Chain, LINKS_MAX, LinkParameters, Matrix, Vector};
-use loopbound_shared::input::{LINE_BYTES_MAX, Line, next_line};
-use loopbound_shared::quote;
+use loopbound_model::chain::{Chain, LINKS_MAX, LinkParameters, Matrix, Vector};
+use loopbound_model::quote;
+use loopbound_model::with_links;
+use loopbound_scenario::input::{LINE_BYTES_MAX, Line, next_line};
+use loopbound_scenario::{ChainSpec, Scenario};
 use loopbound_shared::say;
-use loopbound_shared::scenario::{ChainSpec, Scenario};
-use loopbound_shared::with_links;
 use serde::{Deserialize, Serialize};
 
 use crate::cli::ScenarioArgs;

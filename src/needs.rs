@@ -5,10 +5,10 @@
 
 use std::path::Path;
 
-use loopbound_shared::cast;
+use loopbound_scenario::controllers;
+use loopbound_scenario::{Cores, Mode, Scenario};
 use loopbound_shared::group::room;
 use loopbound_shared::realtime::Step;
-use loopbound_shared::scenario::{Cores, Mode, Scenario};
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use rustix::thread::{CpuSet, sched_getaffinity};
 
@@ -37,7 +37,7 @@ pub fn raise_limits() {
 /// # Errors
 /// If not; nothing was touched.
 pub fn check(scenario: &Scenario) -> anyhow::Result<()> {
-    let controllers = cast::controllers(scenario).len() as u64;
+    let controllers = controllers::of(scenario).len() as u64;
     check_proc(Path::new("/proc/self/exe"))?;
     check_descriptors(controllers.saturating_sub(1) + GUESTS)?;
     Ok(room::require(room::needed(controllers, GUESTS))?)

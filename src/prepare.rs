@@ -7,13 +7,13 @@ use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use loopbound_model::quote;
+use loopbound_model::with_links;
 use loopbound_monitor::judge::Judge;
+use loopbound_scenario::input::WAYPOINTS_BYTES_MAX;
+use loopbound_scenario::system;
+use loopbound_scenario::{Place, Scenario, ScenarioError, WAYPOINTS_FILE};
 use loopbound_shared::group::Group;
-use loopbound_shared::input::WAYPOINTS_BYTES_MAX;
-use loopbound_shared::quote;
-use loopbound_shared::scenario::{Place, Scenario, ScenarioError, WAYPOINTS_FILE};
-use loopbound_shared::system;
-use loopbound_shared::with_links;
 
 use crate::inprocess::InProcess;
 

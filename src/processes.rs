@@ -4,10 +4,10 @@ use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
-use loopbound_shared::cast;
+use loopbound_model::law::LawKind;
+use loopbound_scenario::controllers;
+use loopbound_scenario::{Restart, Role, Scenario};
 use loopbound_shared::group::Group;
-use loopbound_shared::law::LawKind;
-use loopbound_shared::scenario::{Restart, Role, Scenario};
 
 /// The variable by which everything that is started for a run can be told from all else: it holds the run's identity,
 /// and is inherited.
@@ -47,7 +47,7 @@ pub fn table(scenario: &Scenario, file: &std::path::Path, out: Option<&std::path
         out: (role == Role::Monitor).then(|| out.map(PathBuf::from)).flatten(),
     };
     let mut table = vec![one(Role::Monitor, 1), one(Role::Reference, 1)];
-    table.extend(cast::controllers(scenario).into_iter().map(|part| Process {
+    table.extend(controllers::of(scenario).into_iter().map(|part| Process {
         law: part.exe.is_none().then_some(part.law),
         exe: part.exe,
         ..one(Role::Controller, part.id)

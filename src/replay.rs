@@ -10,20 +10,20 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use loopbound_model::law::LawKind;
+use loopbound_model::with_links;
 use loopbound_monitor::folder::{self as manifest, FolderError, Look, known, recorded_scenario};
 use loopbound_monitor::judge::Judge;
 use loopbound_monitor::recording::reader::{Item, ReadError, Recording};
 use loopbound_monitor::verdict::expectations::judge;
 use loopbound_monitor::verdict::judge_summary;
 use loopbound_monitor::{Config, Summary, Tracker};
+use loopbound_scenario::Scenario;
+use loopbound_scenario::input;
 use loopbound_shared::event::Role;
 use loopbound_shared::headline::Headline;
-use loopbound_shared::input;
-use loopbound_shared::law::LawKind;
 use loopbound_shared::sample::{Announce, SEGMENTS_MAX, TickRecord};
 use loopbound_shared::say;
-use loopbound_shared::scenario::Scenario;
-use loopbound_shared::with_links;
 use serde::Serialize;
 
 use crate::exit::{Exit, Failure};

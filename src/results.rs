@@ -8,8 +8,8 @@ use loopbound_monitor::files::summary_text;
 use loopbound_monitor::folder::{Begin, Claim, Kind, Results, known, self_contained, waypoints_of};
 use loopbound_monitor::summary::RecordingSummary;
 use loopbound_monitor::verdict::reports;
+use loopbound_scenario::Scenario;
 use loopbound_shared::group::Group;
-use loopbound_shared::scenario::Scenario;
 
 use crate::exit::Failure;
 use crate::report;

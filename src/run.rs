@@ -8,11 +8,11 @@ use clap::Args;
 use loopbound_monitor::Summary;
 use loopbound_monitor::live::{Address, Origin};
 use loopbound_monitor::verdict::expectations;
+use loopbound_scenario::input;
+use loopbound_scenario::{ExpectSection, Scenario};
 use loopbound_shared::headline::Headline;
-use loopbound_shared::input;
 use loopbound_shared::realtime::die_with_parent;
 use loopbound_shared::say;
-use loopbound_shared::scenario::{ExpectSection, Scenario};
 use serde_json::Value;
 
 use crate::check;

@@ -19,10 +19,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::Context as _;
 use clap::{Args, Subcommand};
+use loopbound_model::chain::LINKS_MAX;
+use loopbound_model::law::LawKind;
 use loopbound_monitor::chart::{Figure, Theme, to_png, to_svg};
 use loopbound_monitor::folder::Manifest;
-use loopbound_shared::chain::LINKS_MAX;
-use loopbound_shared::law::LawKind;
 
 use crate::exit::{Exit, Failure};
 

@@ -24,7 +24,8 @@ use std::sync::atomic::Ordering::SeqCst;
 use anyhow::Context as _;
 use loopbound_monitor::files::LOST_FILE;
 use loopbound_monitor::folder::Results;
-use loopbound_shared::cast;
+use loopbound_scenario::controllers;
+use loopbound_scenario::{Mode, Restart, Role, Scenario};
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::{Bell, ControlBlock};
 use loopbound_shared::event::{self, CommandKind, Phase, Refusal, ReplyKind};
@@ -32,7 +33,6 @@ use loopbound_shared::group::Group;
 use loopbound_shared::ports::{CommandClient, Node, Subscriber};
 use loopbound_shared::realtime::wait_any_end;
 use loopbound_shared::sample::{Announce, Command, Reply, State, TickRecord, Torque};
-use loopbound_shared::scenario::{Mode, Restart, Role, Scenario};
 use loopbound_shared::topics::Topic as _;
 
 use crate::exit::{Exit, Failure};
@@ -212,7 +212,7 @@ impl<'a> Supervisor<'a> {
             fault_until_ns: 0,
             records: node.subscriber(TickRecord::DEPTH)?.uncounted(),
             loss_told: false,
-            next_id: cast::controllers(scenario).iter().map(|part| part.id).max().unwrap_or(0) + 1,
+            next_id: controllers::of(scenario).iter().map(|part| part.id).max().unwrap_or(0) + 1,
             deaths: Vec::new(),
             roster: RosterFile::default(),
             active: 0,

@@ -4,9 +4,9 @@ use std::io::Write as _;
 use std::path::PathBuf;
 
 use clap::Args;
-use loopbound_shared::law::LawKind;
+use loopbound_model::law::LawKind;
+use loopbound_scenario::parse_duration;
 use loopbound_shared::say;
-use loopbound_shared::scenario::parse_duration;
 
 use crate::exit::{Exit, Failure};
 use crate::supervise::{Answer, Request, SwapReport, SwapRequest, connect};

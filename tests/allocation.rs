@@ -17,16 +17,17 @@ use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering::SeqCst};
 use std::sync::{Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 
-use loopbound_shared::cast;
+use loopbound_scenario::Scenario;
+use loopbound_scenario::controllers;
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::{Bell, ControlBlock};
 use loopbound_shared::event::{CommandKind, LiveFault, Phase, ReplyKind, Role};
 use loopbound_shared::fault::board::Injected;
 use loopbound_shared::group::Group;
+use loopbound_shared::opening;
 use loopbound_shared::ports::{Announces, CommandClient, Node};
 use loopbound_shared::role::{RoleArgs, RoleError};
 use loopbound_shared::sample::Command;
-use loopbound_shared::scenario::Scenario;
 
 /// Who is counted: places in [`COUNTS`]. Everyone else is not.
 const PLANT: usize = 1;
@@ -160,10 +161,10 @@ impl Threads {
         let enlist = |role, id| block.writers().enlist(role, id, std::process::id());
         enlist(Role::Reference, 1);
         enlist(Role::Plant, 1);
-        cast::controllers(scenario).iter().for_each(|part| enlist(Role::Controller, part.id));
+        controllers::of(scenario).iter().for_each(|part| enlist(Role::Controller, part.id));
         let args = |id| RoleArgs { group: group.name().to_owned(), id, scenario: file.clone(), parent: None };
         let mut roles = vec![start(REFERENCE, args(1), loopbound_reference::run)];
-        for part in cast::controllers(scenario) {
+        for part in controllers::of(scenario) {
             let run = move |args: &RoleArgs, stop| loopbound_controller::run(args, Some(part.law), stop);
             roles.push(start(CONTROLLERS, args(part.id), run));
         }
@@ -189,7 +190,7 @@ impl Threads {
             assert!(!self.roles.iter().any(JoinHandle::is_finished), "a role has ended before the start");
             ready == self.roles.len()
         });
-        for command in cast::opening_commands(scenario, u64::MAX) {
+        for command in opening::commands(scenario, u64::MAX) {
             self.ask(command);
         }
     }
@@ -232,7 +233,7 @@ fn assert_only_notes_with(name: &str, scenario: &str, from: u64, to: u64, prepar
     let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
     let quiet = "[realtime]\npriority = 0\nlock_memory = false\ndma_latency = false\n";
     let scenario = Scenario::from_toml(&format!("{quiet}{scenario}"), name).expect("a scenario");
-    let controllers = cast::controllers(&scenario).len() as u64;
+    let controllers = controllers::of(&scenario).len() as u64;
     let threads = Threads::start(name, &scenario);
     threads.begin(&scenario);
     prepare(&threads);

@@ -8,12 +8,12 @@ use loopbound_monitor::Summary;
 use loopbound_monitor::judge::Judge;
 use loopbound_monitor::tracker::Tracker;
 use loopbound_monitor::verdict::judge_summary;
-use loopbound_shared::cast;
+use loopbound_scenario::Scenario;
+use loopbound_scenario::controllers;
 use loopbound_shared::event::{Decision, HappeningKind};
 use loopbound_shared::headline::Headline;
 use loopbound_shared::realtime::Privileges;
 use loopbound_shared::sample::{TickRecord, record_flag};
-use loopbound_shared::scenario::Scenario;
 
 /// The paper's case in lockstep with some settings.
 fn scenario(settings: &[&str]) -> Scenario {
@@ -31,7 +31,7 @@ fn run(scenario: &Scenario) -> (Summary, Vec<(u64, String)>) {
     let judge = Judge::new(scenario).expect("a system");
     let mut tracker = Tracker::<3>::new(tracker_config(scenario), Some(judge));
     let mut named = Vec::new();
-    for part in cast::controllers(scenario) {
+    for part in controllers::of(scenario) {
         let controller = Builtin::<3>::new(scenario, part.law).expect("a law");
         tracker.learn(&ControllerCore::new(scenario, part.id, controller).announcement(Privileges::default()));
     }

@@ -10,7 +10,8 @@ use std::path::{Path, PathBuf};
 
 use loopbound_shared::headline::Headline;
 
-const CRATES: [&str; 6] = ["shared/src", "plant/src", "controller/src", "reference/src", "monitor/src", "src"];
+const CRATES: [&str; 8] =
+    ["model/src", "scenario/src", "shared/src", "plant/src", "controller/src", "reference/src", "monitor/src", "src"];
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))

@@ -13,12 +13,12 @@ use std::process::{Command, Stdio};
 
 use loopbound::inprocess::InProcess;
 use loopbound::prepare;
+use loopbound_model::rng::{Stream, bits};
+use loopbound_model::trajectory::Waypoints;
+use loopbound_model::with_links;
 use loopbound_monitor::verdict::expectations;
+use loopbound_scenario::{ExpectSection, Scenario};
 use loopbound_shared::clock;
-use loopbound_shared::rng::{Stream, bits};
-use loopbound_shared::scenario::{ExpectSection, Scenario};
-use loopbound_shared::trajectory::Waypoints;
-use loopbound_shared::with_links;
 
 /// How many times as many cases the long form runs.
 const LONG: u64 = 200;

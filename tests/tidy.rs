@@ -5,9 +5,30 @@ use std::path::{Path, PathBuf};
 
 use toml::{Table, Value};
 
-/// Packages of the workspace, as folders below its root; the launcher is the root itself.
-const PROCESSES: [&str; 4] = ["plant", "controller", "reference", "monitor"];
-const CONTRACT: &str = "shared";
+/// Packages of the workspace, as folders below its root, each with the packages it stands on. The launcher is the root itself
+/// and may know all.
+const LAYERS: [(&str, &[&str]); 7] = [
+    ("model", &[]),
+    ("scenario", &["model"]),
+    ("shared", &["model", "scenario"]),
+    ("plant", &["model", "scenario", "shared"]),
+    ("controller", &["model", "scenario", "shared"]),
+    ("reference", &["model", "scenario", "shared"]),
+    ("monitor", &["model", "scenario", "shared"]),
+];
+/// What the mathematics may never know: the operating system, by whatever door.
+const OPERATING_SYSTEM: [&str; 10] = [
+    "std::env",
+    "std::fs",
+    "std::io",
+    "std::net",
+    "std::os",
+    "std::process",
+    "std::sync",
+    "std::thread",
+    "std::time",
+    "rustix",
+];
 
 /// Where code may be unsafe, each place with its proof: system calls, mapped memory, the plain-data promise of samples,
 /// the baselines that the benchmarks compare with, and the allocator that counts.
@@ -51,7 +72,7 @@ fn manifest(folder: &str) -> Table {
 }
 
 fn members() -> impl Iterator<Item = &'static str> {
-    [".", CONTRACT].into_iter().chain(PROCESSES)
+    ["."].into_iter().chain(LAYERS.map(|(member, _)| member))
 }
 
 /// The names in a dependency section; empty if there is no such section.
@@ -80,17 +101,10 @@ fn sources(folders: &[&str]) -> BTreeMap<String, String> {
 
 /// All Rust files of all members, tests and benches included.
 fn all_sources() -> BTreeMap<String, String> {
-    let found = sources(&[
-        "src",
-        "tests",
-        "benches",
-        "examples",
-        "shared/src",
-        "plant/src",
-        "controller/src",
-        "reference/src",
-        "monitor/src",
-    ]);
+    let members: Vec<String> = members().map(|member| format!("{member}/src")).collect();
+    let mut folders: Vec<&str> = members.iter().map(String::as_str).collect();
+    folders.extend(["tests", "benches", "examples"]);
+    let found = sources(&folders);
     assert!(found.len() > 60, "only {} files: the tree is not where this test looks", found.len());
     found
 }
@@ -167,24 +181,26 @@ fn offenders(words: &[&str], allowed: &[&str]) -> Vec<String> {
 const NONE: Vec<String> = Vec::new();
 
 #[test]
-fn a_process_depends_on_the_contract_and_on_no_other_member() {
-    for process in PROCESSES {
-        let manifest = manifest(process);
-        let ours: Vec<String> =
-            names(&manifest, "dependencies").into_iter().filter(|name| name.starts_with("loopbound")).collect();
-        assert_eq!(ours, ["loopbound-shared"], "{process}");
-        let in_tests = names(&manifest, "dev-dependencies");
-        assert!(!in_tests.iter().any(|name| name.starts_with("loopbound")), "{process}: its tests need nobody else");
-        assert!(!names(&manifest, "dependencies").contains("iceoryx2"), "{process}: the transport is the contract's");
+fn a_member_stands_on_the_layers_below_it_alone() {
+    for (member, below) in LAYERS {
+        let manifest = manifest(member);
+        for section in ["dependencies", "dev-dependencies", "build-dependencies"] {
+            let ours: Vec<String> = names(&manifest, section)
+                .into_iter()
+                .filter_map(|name| Some(name.strip_prefix("loopbound-")?.to_owned()))
+                .collect();
+            let unknown: Vec<&String> = ours.iter().filter(|name| !below.contains(&name.as_str())).collect();
+            assert!(unknown.is_empty(), "{member} may not know {unknown:?}");
+        }
+        let transport = names(&manifest, "dependencies").contains("iceoryx2");
+        assert_eq!(transport, member == "shared", "{member}: the transport is the contract's");
     }
 }
 
 #[test]
-fn the_contract_depends_on_no_member() {
-    let manifest = manifest(CONTRACT);
-    for section in ["dependencies", "dev-dependencies", "build-dependencies"] {
-        assert!(!names(&manifest, section).iter().any(|name| name.starts_with("loopbound")), "{section}");
-    }
+fn the_mathematics_knows_no_operating_system() {
+    let inside = |name: &String| name.starts_with("model/");
+    assert_eq!(offenders(&OPERATING_SYSTEM, &[]).into_iter().filter(inside).collect::<Vec<_>>(), NONE);
 }
 
 #[test]

@@ -4,17 +4,17 @@ use std::sync::atomic::Ordering;
 
 use anyhow::Result;
 use loopbound_controller::{Builtin, ControllerCore};
+use loopbound_model::law::LawKind;
+use loopbound_scenario::Scenario;
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::{Bell, ControlBlock};
 use loopbound_shared::event::Role;
 use loopbound_shared::fault::FaultActions;
 use loopbound_shared::group::Group;
-use loopbound_shared::law::LawKind;
 use loopbound_shared::ports::{Node, Publisher, Subscriber};
 use loopbound_shared::realtime;
 use loopbound_shared::sample::{State, Torque};
 use loopbound_shared::say;
-use loopbound_shared::scenario::Scenario;
 use loopbound_shared::wakeup::{Ringer, Waiter};
 
 use crate::mechanism::Mechanism;

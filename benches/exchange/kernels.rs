@@ -3,13 +3,13 @@
 use std::hint::black_box;
 
 use anyhow::Result;
-use loopbound_shared::chain::{Chain, Vector};
+use loopbound_model::chain::{Chain, Vector};
+use loopbound_model::integrator::{PlantState, rk4_step};
+use loopbound_model::law::{LawInput, LawKind};
+use loopbound_model::rng::{Stream, uniform};
+use loopbound_scenario::Scenario;
+use loopbound_scenario::system;
 use loopbound_shared::clock;
-use loopbound_shared::integrator::{PlantState, rk4_step};
-use loopbound_shared::law::{LawInput, LawKind};
-use loopbound_shared::rng::{Stream, uniform};
-use loopbound_shared::scenario::Scenario;
-use loopbound_shared::system;
 use serde::Serialize;
 
 use crate::statistics::median;

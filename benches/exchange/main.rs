@@ -24,12 +24,12 @@ use std::sync::atomic::Ordering;
 
 use anyhow::{Context, Result};
 use clap::Parser;
+use loopbound_scenario::Wakeup;
 use loopbound_shared::clock;
 use loopbound_shared::group::Group;
 use loopbound_shared::realtime::{self, ProcessHandle, Request};
 use loopbound_shared::sample::Setpoint;
 use loopbound_shared::say;
-use loopbound_shared::scenario::Wakeup;
 
 use crate::mechanism::Mechanism;
 use crate::plant_end::PlantEnd;

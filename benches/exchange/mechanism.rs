@@ -1,6 +1,6 @@
 //! What is compared with what.
 
-use loopbound_shared::scenario::Wakeup;
+use loopbound_scenario::Wakeup;
 
 /// A way to exchange a state for a torque.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -2,13 +2,13 @@
 
 use anyhow::{Result, anyhow};
 use loopbound_plant::{Opening, PlantCore};
+use loopbound_scenario::Scenario;
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::{Bell, ControlBlock};
 use loopbound_shared::event::Role;
 use loopbound_shared::group::Group;
 use loopbound_shared::ports::{Node, Publisher, Subscriber};
 use loopbound_shared::sample::{State, Torque};
-use loopbound_shared::scenario::Scenario;
 use loopbound_shared::wakeup::{Ringer, Waiter};
 use std::sync::atomic::Ordering;
 

@@ -1,9 +1,9 @@
 //! The laws of `shared` as controllers.
 
-use loopbound_shared::chain::Vector;
-use loopbound_shared::law::{Law, LawInput, LawKind};
-use loopbound_shared::scenario::{Scenario, ScenarioError};
-use loopbound_shared::system;
+use loopbound_model::chain::Vector;
+use loopbound_model::law::{Law, LawInput, LawKind};
+use loopbound_scenario::system;
+use loopbound_scenario::{Scenario, ScenarioError};
 
 use crate::{Claim, Controller, Input};
 

@@ -1,12 +1,12 @@
 //! One tick of a controller without a clock: setpoint, law, injected faults. All modes drive this same code.
 
+use loopbound_scenario::{Mode, Role, Scenario};
 use loopbound_shared::event::{self, Phase};
 use loopbound_shared::fault::board::{Board, Injected};
 use loopbound_shared::fault::{FaultActions, FaultPlan};
 use loopbound_shared::realtime::Privileges;
 use loopbound_shared::role;
 use loopbound_shared::sample::{Announce, Origin, State, Torque, torque_flag};
-use loopbound_shared::scenario::{Mode, Role, Scenario};
 use loopbound_shared::setpoints::SetpointBook;
 
 use crate::{Controller, Input};
@@ -55,7 +55,7 @@ impl<C: Controller> ControllerCore<C> {
         let name = self.controller.name();
         let mut ready = role::announce(event::Role::Controller, self.id, Phase::Ready, self.links, privileges, name);
         if let Some(claim) = self.controller.claim() {
-            claim.announce_in(&mut ready);
+            ready.set_claim(&claim);
         }
         ready
     }

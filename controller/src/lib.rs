@@ -16,7 +16,7 @@ pub use builtin::Builtin;
 pub use core::ControllerCore;
 pub use serve::{parse_args, run, serve, serve_until};
 
-pub use loopbound_shared::claim::Claim;
+pub use loopbound_model::claim::Claim;
 
 /// What a controller sees of one tick. Every slice has one entry a link.
 #[derive(Clone, Copy, Debug)]

@@ -3,17 +3,17 @@
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use loopbound_model::law::LawKind;
+use loopbound_model::with_links;
+use loopbound_scenario::{Mode, Scenario};
 use loopbound_shared::doorbell::Bell;
 use loopbound_shared::event::{Phase, Role};
-use loopbound_shared::law::LawKind;
 use loopbound_shared::ports::{Publisher, Subscriber};
 use loopbound_shared::realtime::{self, EvidenceReader};
 use loopbound_shared::role::{self, Joined, RoleArgs, RoleError};
 use loopbound_shared::sample::{Announce, Setpoint, State, Torque};
-use loopbound_shared::scenario::{Mode, Scenario};
 use loopbound_shared::setpoints::SetpointBook;
 use loopbound_shared::wakeup::{Ringer, Waiter};
-use loopbound_shared::with_links;
 
 use crate::core::ControllerCore;
 use crate::{Builtin, Controller, lockstep, realtime as realtime_loop};

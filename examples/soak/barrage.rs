@@ -12,9 +12,9 @@ use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 
 use anyhow::Context as _;
+use loopbound_model::rng::{Stream, uniform};
 use loopbound_shared::clock::{now_ns, sleep_ns};
 use loopbound_shared::realtime::{ProcessHandle, Signal};
-use loopbound_shared::rng::{Stream, uniform};
 
 use crate::remains::{KEEPER, LAUNCHER, NEWBORN, Place, Seen};
 

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use loopbound_model::rng::{Stream, uniform};
 use loopbound_shared::clock;
 use loopbound_shared::group::Group;
-use loopbound_shared::rng::{Stream, uniform};
 use loopbound_shared::say;
 
 use crate::live::{Live, kill};

@@ -3,16 +3,16 @@
 //! The records are those of the default scenario (n = 3) in lockstep, computed beforehand, with the bound checked and
 //! diagnosed in every tick.
 
+use loopbound_model::integrator::integrate;
+use loopbound_model::law::LawKind;
 use loopbound_monitor::judge::Judge;
 use loopbound_monitor::tracker::{Config, Tracker};
+use loopbound_scenario::Scenario;
+use loopbound_scenario::system;
 use loopbound_shared::clock::now_ns;
 use loopbound_shared::event::{Acceptance, Decision};
-use loopbound_shared::integrator::integrate;
-use loopbound_shared::law::LawKind;
 use loopbound_shared::sample::{Receipt, Segment, TickRecord, to_links};
 use loopbound_shared::say;
-use loopbound_shared::scenario::Scenario;
-use loopbound_shared::system;
 
 const TICKS: u64 = 20_000;
 const ROUNDS: u32 = 5;

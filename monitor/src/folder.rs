@@ -21,8 +21,8 @@ mod stream;
 
 use std::path::Path;
 
-use loopbound_shared::input::WAYPOINTS_BYTES_MAX;
-use loopbound_shared::scenario::{Scenario, ScenarioError};
+use loopbound_scenario::input::WAYPOINTS_BYTES_MAX;
+use loopbound_scenario::{Scenario, ScenarioError};
 
 pub use claim::{Begin, Claim};
 pub use look::{Look, refuse_file_of_a_run};

@@ -6,20 +6,20 @@
 
 mod figures;
 
-use loopbound_shared::bound::certificate::{Certificate, Gains, certify};
-use loopbound_shared::bound::diagnose::{Diagnosis, IntervalDiagnosis, Segment, Verdict};
-use loopbound_shared::bound::envelope::Assumptions;
-use loopbound_shared::chain::Chain;
-use loopbound_shared::claim::Claim;
+use loopbound_model::bound::certificate::{Certificate, Gains, certify};
+use loopbound_model::bound::diagnose::{Diagnosis, IntervalDiagnosis, Segment, Verdict};
+use loopbound_model::bound::envelope::Assumptions;
+use loopbound_model::chain::Chain;
+use loopbound_model::claim::Claim;
+use loopbound_model::integrator::PlantState;
+use loopbound_model::law::{Law, LawInput, LawKind};
+use loopbound_model::trajectory::SetpointValue;
+use loopbound_model::truth::Truth;
+use loopbound_scenario::system;
+use loopbound_scenario::{Scenario, ScenarioError};
 use loopbound_shared::event::{Decision, Role};
-use loopbound_shared::integrator::PlantState;
-use loopbound_shared::law::{Law, LawInput, LawKind};
 use loopbound_shared::runaway::{self, Runaway};
 use loopbound_shared::sample::{Announce, SEGMENTS_MAX, TickRecord, record_flag, to_vector};
-use loopbound_shared::scenario::{Scenario, ScenarioError};
-use loopbound_shared::system;
-use loopbound_shared::trajectory::SetpointValue;
-use loopbound_shared::truth::Truth;
 
 use self::figures::Figures;
 use crate::event::{EventKind, EventLog};
@@ -173,7 +173,7 @@ impl<const N: usize> Judge<N> {
         if announce.role != Role::Controller.code() {
             return;
         }
-        let claim = Claim::of(announce).map(|claim| self.certified(&claim));
+        let claim = announce.claim().map(|claim| self.certified(&claim));
         let said = Said { id: announce.id, claim, name: name_of(announce) };
         match self.claims.iter().position(|known| known.id == announce.id) {
             Some(at) => self.claims[at] = said,

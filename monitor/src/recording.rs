@@ -14,7 +14,7 @@ pub mod views;
 use std::collections::BTreeMap;
 use std::io;
 
-use loopbound_shared::chain::LINKS_MAX;
+use loopbound_model::chain::LINKS_MAX;
 use loopbound_shared::layout::content_of;
 use loopbound_shared::role::build_id;
 use loopbound_shared::sample::{Announce, Message as _, TickRecord};

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use loopbound_shared::bound::stability::SamplingRule;
+use loopbound_model::bound::stability::SamplingRule;
 use loopbound_shared::event::MessageKind;
 
 use crate::cause::words_of;

@@ -9,8 +9,8 @@ mod rebuilt;
 use std::io::{self, BufReader};
 use std::path::Path;
 
+use loopbound_scenario::input::{self, Line};
 use loopbound_shared::headline::Headline;
-use loopbound_shared::input::{self, Line};
 use loopbound_shared::sample::{Links, TickRecord};
 use serde::Serialize;
 use serde_json::{Value, json};

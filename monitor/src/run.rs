@@ -8,7 +8,9 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 
-use loopbound_shared::chain::LINKS_MAX;
+use loopbound_model::chain::LINKS_MAX;
+use loopbound_model::with_links;
+use loopbound_scenario::Mode;
 use loopbound_shared::clock::{
     now_ns, seconds, sleep_ns, sleep_until_ns_or_signal, wait_until_ns, wall_time, wall_time_ns,
 };
@@ -21,9 +23,7 @@ use loopbound_shared::realtime::{Privileges, die_with_parent};
 use loopbound_shared::role::{Joined, RoleArgs, RoleError, announce, build_id, join, kill_self};
 use loopbound_shared::sample::{Announce, TickRecord, record_flag};
 use loopbound_shared::say;
-use loopbound_shared::scenario::{self, Mode};
 use loopbound_shared::topics::Topic;
-use loopbound_shared::with_links;
 
 use crate::files::{LOST_FILE, Place, Recorder, summary_text};
 use crate::folder::{Begin, Claim, FolderError, Kind, self_contained, waypoints_of};
@@ -244,7 +244,7 @@ impl<'a, const N: usize> Watch<'a, N> {
             judged_blocks: 0,
             last_record_ns: now_ns,
             last_seen: false,
-            faults: FaultPlan::for_target(scenario, scenario::Role::Monitor, args.id),
+            faults: FaultPlan::for_target(scenario, loopbound_scenario::Role::Monitor, args.id),
         })
     }
 

@@ -1,7 +1,7 @@
 //! The list of changes of the controller in charge: what each cost in ticks, torque and V. The only account of them: the
 //! report, `summary.json` and the answer of `loopbound swap` say what stands here.
 
-use loopbound_shared::cast::Scheduled;
+use loopbound_scenario::controllers::Scheduled;
 use loopbound_shared::event::{Decision, HappeningKind, Refusal};
 use loopbound_shared::sample::{Happening, Segment, TickRecord};
 

@@ -1,13 +1,13 @@
 //! A plant and a controller in one thread, on paper: records with known answers for the tests.
 
+use loopbound_model::integrator::{PlantState, integrate};
+use loopbound_model::law::{Law, LawInput, LawKind};
+use loopbound_model::trajectory::Trajectory;
+use loopbound_model::truth::Truth;
+use loopbound_scenario::Scenario;
+use loopbound_scenario::system;
 use loopbound_shared::event::{Acceptance, Decision, Role};
-use loopbound_shared::integrator::{PlantState, integrate};
-use loopbound_shared::law::{Law, LawInput, LawKind};
 use loopbound_shared::sample::{Announce, Receipt, Segment, TickRecord, to_links};
-use loopbound_shared::scenario::Scenario;
-use loopbound_shared::system;
-use loopbound_shared::trajectory::Trajectory;
-use loopbound_shared::truth::Truth;
 
 use crate::judge::Judge;
 use crate::tracker::{Config, Tracker};

@@ -8,7 +8,7 @@ use std::fs;
 use std::io::{self, Write as _};
 use std::path::PathBuf;
 
-use loopbound_shared::scenario::TRACE_TICKS_MAX;
+use loopbound_scenario::TRACE_TICKS_MAX;
 
 use crate::folder::{Stamp, Stream};
 

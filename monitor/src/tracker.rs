@@ -3,13 +3,13 @@
 //! Responsible for what a record means to each figure. What a late tick means is `late`'s, what V means is `judge`'s.
 //! Numbers from a record are never trusted: counts are clamped to their arrays and differences saturate.
 
-use loopbound_shared::bound::diagnose::Verdict;
-use loopbound_shared::cast::{self, Scheduled};
+use loopbound_model::bound::diagnose::Verdict;
+use loopbound_scenario::controllers::{self, Scheduled};
+use loopbound_scenario::{Mode, Scenario};
 use loopbound_shared::event::{Acceptance, Decision};
 use loopbound_shared::sample::{
     Announce, Counters, Happening, Links, Receipt, Segment, TickRecord, record_flag, to_vector,
 };
-use loopbound_shared::scenario::{Mode, Scenario};
 
 use crate::divergence::Divergence;
 use crate::event::{Event, EventKind, EventLog};
@@ -56,7 +56,7 @@ impl Config {
             finalise_ns: scenario.monitor.finalise.ns(),
             lockstep: scenario.loop_.mode == Mode::Lockstep,
             speed_limit_rad_s: scenario.plant.speed_limit,
-            scheduled_swaps: cast::scheduled_swaps(scenario),
+            scheduled_swaps: controllers::scheduled_swaps(scenario),
             rollback_ticks: scenario.swap_gate.rollback_for.ns().div_ceil(scenario.period_ns()),
         }
     }

@@ -14,14 +14,14 @@ use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
+use loopbound_model::law::LawKind;
+use loopbound_model::with_links;
 use loopbound_shared::clock::now_ns;
 use loopbound_shared::event::LiveFault;
 use loopbound_shared::group::Group;
-use loopbound_shared::law::LawKind;
 use loopbound_shared::role::{Joined, RoleError};
 use loopbound_shared::sample::{TickRecord, record_flag};
 use loopbound_shared::topics::Topic;
-use loopbound_shared::with_links;
 use serde_json::{Value, json};
 
 use crate::run::{MonitorArgs, START_NS, join_soon};

@@ -6,8 +6,8 @@
 //! counts changes of authority. No clock and no physics here: the loops say when something arrived and when the grace
 //! deadline has passed.
 
+use loopbound_model::law::faded;
 use loopbound_shared::event::{Acceptance, Decision, HappeningKind, Refusal, ReplyKind};
-use loopbound_shared::law::faded;
 use loopbound_shared::sample::{
     Counters, HAPPENINGS_MAX, Happening, Links, RECEIPTS_MAX, Receipt, Torque, torque_flag,
 };

@@ -6,17 +6,17 @@
 
 use std::collections::VecDeque;
 
+use loopbound_model::integrator::{PlantState, integrate};
+use loopbound_model::truth::Truth;
+use loopbound_scenario::system;
+use loopbound_scenario::{ACTUATION_TICKS_MAX, Scenario, ScenarioError};
 use loopbound_shared::event::{Decision, HappeningKind, LiveFault, ReplyKind, Role};
-use loopbound_shared::integrator::{PlantState, integrate};
 use loopbound_shared::realtime::Evidence;
 use loopbound_shared::runaway;
 use loopbound_shared::sample::{
     Command, Links, Origin, Reply, SEGMENTS_MAX, Segment, State, TickRecord, Torque, record_flag, to_links, to_vector,
 };
-use loopbound_shared::scenario::{ACTUATION_TICKS_MAX, Scenario, ScenarioError};
 use loopbound_shared::setpoints::SetpointBook;
-use loopbound_shared::system;
-use loopbound_shared::truth::Truth;
 
 use crate::authority::{Applied, Authority};
 use crate::fallback::Fallback;
@@ -415,7 +415,7 @@ impl<const N: usize> PlantCore<N> {
         };
     }
 
-    fn setpoint_value(&self, tick: u64, offset_ns: u64) -> loopbound_shared::trajectory::SetpointValue<N> {
+    fn setpoint_value(&self, tick: u64, offset_ns: u64) -> loopbound_model::trajectory::SetpointValue<N> {
         self.setpoints.at(tick, offset_ns).map_or_else(|| system::rest_at(&self.state), |found| found.value)
     }
 
@@ -441,7 +441,7 @@ impl<const N: usize> PlantCore<N> {
 
     /// Promise (a) over the tick that was just closed; looked at only while a switch is being watched. It is the
     /// promise of one law whose torque acts in time: a cross-fade, a late torque and a second switch promise nothing.
-    fn promise_held(&mut self, setpoint: &loopbound_shared::trajectory::SetpointValue<N>) -> bool {
+    fn promise_held(&mut self, setpoint: &loopbound_model::trajectory::SetpointValue<N>) -> bool {
         if self.authority.watch.is_none() {
             self.watched_v = None;
             return true;

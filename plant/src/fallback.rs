@@ -1,15 +1,15 @@
 //! What acts when no controller answers: the last torque for as long as the certificate allows, then the plant's own
 //! damping with gravity compensation, then, once all is slow, the same as a safe stop.
 
-use loopbound_shared::bound::certificate::Certificate;
-use loopbound_shared::bound::stability::hold_limit_s;
-use loopbound_shared::chain::{Chain, Vector};
+use loopbound_model::bound::certificate::Certificate;
+use loopbound_model::bound::stability::hold_limit_s;
+use loopbound_model::chain::{Chain, Vector};
+use loopbound_model::law::LawKind;
+use loopbound_scenario::system;
+use loopbound_scenario::{Scenario, ScenarioError};
 use loopbound_shared::clock::seconds;
 use loopbound_shared::event::Decision;
-use loopbound_shared::law::LawKind;
 use loopbound_shared::sample::{Links, TickRecord};
-use loopbound_shared::scenario::{Scenario, ScenarioError};
-use loopbound_shared::system;
 
 #[cfg(test)]
 mod tests;

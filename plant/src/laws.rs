@@ -1,17 +1,17 @@
 //! What the plant knows of the controllers' laws: enough to evaluate V, for the swap gate, the promise after a swap
 //! and the time that a torque may be held.
 
-use loopbound_shared::bound::certificate::Certificate;
-use loopbound_shared::chain::Chain;
-use loopbound_shared::claim::Claim;
+use loopbound_model::bound::certificate::Certificate;
+use loopbound_model::chain::Chain;
+use loopbound_model::claim::Claim;
+use loopbound_model::integrator::PlantState;
+use loopbound_model::law::{LawInput, LawKind};
+use loopbound_model::trajectory::SetpointValue;
+use loopbound_scenario::system;
+use loopbound_scenario::{Scenario, ScenarioError};
 use loopbound_shared::clock::seconds;
 use loopbound_shared::event::{Phase, Role};
-use loopbound_shared::integrator::PlantState;
-use loopbound_shared::law::{LawInput, LawKind};
 use loopbound_shared::sample::{Announce, RECEIPTS_MAX, TickRecord, to_vector};
-use loopbound_shared::scenario::{Scenario, ScenarioError};
-use loopbound_shared::system;
-use loopbound_shared::trajectory::SetpointValue;
 
 use crate::swap::Judge;
 
@@ -43,7 +43,7 @@ impl<const N: usize> Laws<N> {
         if announce.role != Role::Controller.code() || announce.phase != Phase::Ready.code() {
             return;
         }
-        let claim = Claim::of(announce);
+        let claim = announce.claim();
         let law = claim.and_then(|claim| self.laws.iter().position(|law| claim.is_same_law(law)));
         let id = announce.id;
         self.forget(id);
@@ -118,14 +118,14 @@ impl<const N: usize> Judge for At<'_, N> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use loopbound_shared::chain::Vector;
+    use loopbound_model::chain::Vector;
 
     /// V and level that the gate finds for a controller with this claim, away from the setpoint.
     fn gate_finds(claim: Claim) -> Option<(f64, f64)> {
         let mut laws = Laws::<3>::new(&Scenario::default()).unwrap();
         let mut announce =
             Announce { role: Role::Controller.code(), phase: Phase::Ready.code(), id: 7, ..Announce::zeroed() };
-        claim.announce_in(&mut announce);
+        announce.set_claim(&claim);
         laws.learn(&announce, |_| true);
         let state = PlantState { q: Vector::zeros(), v: Vector::zeros() };
         let setpoint = SetpointValue { q_d: Vector::repeat(0.1), v_d: Vector::zeros(), a_d: Vector::zeros() };

@@ -14,13 +14,13 @@ pub mod swap;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use loopbound_model::with_links;
+use loopbound_scenario::{Mode, Scenario};
 use loopbound_shared::clock;
 use loopbound_shared::event::{Phase, Role};
 use loopbound_shared::realtime as privileges;
 use loopbound_shared::role::{self, RoleArgs, RoleError};
 use loopbound_shared::sample::Announce;
-use loopbound_shared::scenario::{Mode, Scenario};
-use loopbound_shared::with_links;
 
 pub use crate::core::{Opening, PlantCore};
 pub use crate::fallback::Brake;

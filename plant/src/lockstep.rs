@@ -3,12 +3,12 @@
 
 use std::sync::atomic::Ordering;
 
+use loopbound_scenario::Scenario;
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::Bell;
 use loopbound_shared::fault::ROGUE_WRITER;
 use loopbound_shared::role;
 use loopbound_shared::sample::{RECEIPTS_MAX, State, Torque, torque_flag};
-use loopbound_shared::scenario::Scenario;
 
 use crate::core::{Opening, PlantCore};
 use crate::ports::{Orders, Ports};

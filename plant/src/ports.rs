@@ -2,6 +2,7 @@
 
 use std::sync::atomic::Ordering;
 
+use loopbound_scenario::{Mode, Role};
 use loopbound_shared::doorbell::Bell;
 use loopbound_shared::event::{CommandKind, LiveFault, Refusal, ReplyKind};
 use loopbound_shared::fault::FaultPlan;
@@ -10,7 +11,6 @@ use loopbound_shared::role::{Joined, RoleError};
 use loopbound_shared::sample::{
     Announce, Command, Reply, Setpoint, State, TickRecord, Torque, WARM_UP_TICK, state_flag,
 };
-use loopbound_shared::scenario::{Mode, Role};
 use loopbound_shared::wakeup::{Ringer, Waiter};
 
 use crate::authority::Authority;

@@ -9,12 +9,12 @@
 
 use std::sync::atomic::Ordering;
 
+use loopbound_scenario::Scenario;
 use loopbound_shared::clock;
 use loopbound_shared::fault::FaultActions;
 use loopbound_shared::realtime::EvidenceReader;
 use loopbound_shared::role;
 use loopbound_shared::sample::{State, TickRecord, state_flag};
-use loopbound_shared::scenario::Scenario;
 
 use crate::core::{Opening, PlantCore};
 use crate::ports::{Orders, Ports};

@@ -8,11 +8,11 @@ mod misses;
 
 use std::collections::VecDeque;
 
-use loopbound_shared::chain::LINKS_MAX;
+use loopbound_model::chain::LINKS_MAX;
+use loopbound_model::law::fade_weight;
+use loopbound_scenario::Scenario;
 use loopbound_shared::event::{HappeningKind, Refusal, ReplyKind};
-use loopbound_shared::law::fade_weight;
 use loopbound_shared::sample::{Command, Links, Reply};
-use loopbound_shared::scenario::Scenario;
 
 use crate::authority::{Authority, Standing};
 use misses::Misses;

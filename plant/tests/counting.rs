@@ -1,9 +1,9 @@
 //! Every tick is counted once, as what it was: also by a loop that was kept from running.
 
 use loopbound_plant::{Opening, PlantCore};
+use loopbound_scenario::Scenario;
 use loopbound_shared::event::{Acceptance, CommandKind, Decision};
 use loopbound_shared::sample::{Command, Setpoint, TickRecord, Torque};
-use loopbound_shared::scenario::Scenario;
 
 const PERIOD_NS: u64 = 1_000_000;
 const GRACE_NS: u64 = 500_000;

@@ -5,6 +5,9 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use loopbound_model::trajectory::Trajectory;
+use loopbound_model::with_links;
+use loopbound_scenario::{Mode, Scenario, ScenarioError};
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::Bell;
 use loopbound_shared::event::{Phase, Role};
@@ -13,9 +16,6 @@ use loopbound_shared::ports::Publisher;
 use loopbound_shared::realtime;
 use loopbound_shared::role::{self, RoleArgs, RoleError};
 use loopbound_shared::sample::{Announce, Origin, Setpoint, to_links};
-use loopbound_shared::scenario::{self, Mode, Scenario, ScenarioError};
-use loopbound_shared::trajectory::Trajectory;
-use loopbound_shared::with_links;
 
 /// In lockstep, ticks that the reference runs ahead of the plant; less than a reader's buffer, several of the blocks
 /// in which the plant rings.
@@ -37,7 +37,7 @@ impl<const N: usize> Generator<N> {
     pub fn new(scenario: &Scenario, id: u32) -> Result<Self, ScenarioError> {
         Ok(Self {
             trajectory: scenario.build_trajectory()?,
-            faults: FaultPlan::for_target(scenario, scenario::Role::Reference, id),
+            faults: FaultPlan::for_target(scenario, loopbound_scenario::Role::Reference, id),
             period_ns: scenario.period_ns(),
             id,
         })

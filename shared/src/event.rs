@@ -257,6 +257,17 @@ codes! {
     }
 }
 
+impl From<loopbound_scenario::Role> for Role {
+    fn from(role: loopbound_scenario::Role) -> Self {
+        match role {
+            loopbound_scenario::Role::Reference => Self::Reference,
+            loopbound_scenario::Role::Controller => Self::Controller,
+            loopbound_scenario::Role::Plant => Self::Plant,
+            loopbound_scenario::Role::Monitor => Self::Monitor,
+        }
+    }
+}
+
 impl MessageKind {
     /// The word in a sentence, for one of them.
     #[must_use]

@@ -5,8 +5,8 @@
 
 pub mod board;
 
-use crate::rng::{Stream, uniform};
-use crate::scenario::{Distribution, FaultKind, FaultSpec, PARETO_SHAPE_DEFAULT, Role, Scenario};
+use loopbound_model::rng::{Stream, uniform};
+use loopbound_scenario::{Distribution, FaultKind, FaultSpec, PARETO_SHAPE_DEFAULT, Role, Scenario};
 
 /// Random numbers of one fault in one tick: whether it strikes, and how long it delays.
 const LANE_STRIKE: u32 = 0;
@@ -174,7 +174,7 @@ impl Entry {
 /// The length of a hang as written: a time is taken to the nanosecond, ticks by the period.
 fn hang_length_ns(spec: &FaultSpec, ticks: u64, period_ns: u64) -> u64 {
     match spec.for_ {
-        Some(crate::scenario::When::Time(time)) => time.ns(),
+        Some(loopbound_scenario::When::Time(time)) => time.ns(),
         _ => ticks.saturating_mul(period_ns),
     }
 }

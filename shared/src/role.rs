@@ -11,7 +11,7 @@ use crate::group::{Group, GroupError};
 use crate::ports::{Node, PortError};
 use crate::realtime::{Privileges, Request};
 use crate::sample::Announce;
-use crate::scenario::{Cores, Mode, Scenario, ScenarioError};
+use loopbound_scenario::{Cores, Mode, Scenario, ScenarioError};
 
 /// How a role process is started: `EXE --group G --id N --scenario FILE [--parent PID]`.
 #[derive(Clone, Debug)]
@@ -90,23 +90,6 @@ pub fn wait_until_listed(joined: &Joined, role: Role, id: u32) -> Result<(), Rol
 
 /// A child is on the list as soon as its supervisor runs again after starting it.
 const LISTED_WITHIN_NS: u64 = 5_000_000_000;
-
-/// Calls a function that is generic over the number of links with the scenario's number.
-#[macro_export]
-macro_rules! with_links {
-    ($links:expr, $function:ident :: <N> ( $($argument:expr),* $(,)? )) => {
-        match $links {
-            1 => $function::<1>($($argument),*),
-            2 => $function::<2>($($argument),*),
-            3 => $function::<3>($($argument),*),
-            4 => $function::<4>($($argument),*),
-            5 => $function::<5>($($argument),*),
-            6 => $function::<6>($($argument),*),
-            7 => $function::<7>($($argument),*),
-            other => unreachable!("a scenario has 1 to 7 links, not {other}: checked when it is read"),
-        }
-    };
-}
 
 /// An announcement with what all roles have in common.
 #[must_use]

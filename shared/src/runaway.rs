@@ -5,8 +5,8 @@
 //! which knows the law in charge. c is the level that the scenario gives, certified or not; for a controller that
 //! announced no law there is no V, and the first two decide alone.
 
-use crate::chain::Vector;
 use crate::event::RunawayKind;
+use loopbound_model::chain::Vector;
 
 /// V may be this many times the larger one of its level and its start.
 pub const V_FACTOR: f64 = 10.0;

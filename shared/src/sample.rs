@@ -5,12 +5,14 @@
 //! it belongs to or answers, its writer and that writer's epoch, and copies the stamps of its inputs through. Stamps
 //! `…_ns` are CLOCK_MONOTONIC in realtime mode and virtual in lockstep; `…_plant_ns` count from t = 0 of the plant in both.
 
-use crate::chain::{LINKS_MAX, Vector};
 use crate::event::{MessageKind, Role};
 use crate::layout::Layout;
 use crate::realtime::{Evidence, Privileges};
 use crate::run_id::RunId;
 use crate::{message, wire};
+use loopbound_model::chain::{LINKS_MAX, Vector};
+use loopbound_model::claim::Claim;
+use loopbound_model::law::LawKind;
 
 /// One entry a link; those from `links` on are zero.
 pub type Links = [f64; LINKS_MAX];
@@ -305,7 +307,7 @@ wire! {
 /// Segments that a record holds.
 pub const SEGMENTS_MAX: usize = 8;
 /// Controllers that a record has receipts of.
-pub const RECEIPTS_MAX: usize = 8;
+pub const RECEIPTS_MAX: usize = loopbound_scenario::CONTROLLERS_MAX;
 /// Happenings that a record holds.
 pub const HAPPENINGS_MAX: usize = 6;
 
@@ -475,5 +477,40 @@ message! {
         pub value: f64,
         /// What is allowed of it.
         pub limit: f64,
+    }
+}
+
+impl Announce {
+    /// The law that a controller says it is, with its gains; none if it names no law, or one that is not known.
+    #[must_use]
+    pub fn claim(&self) -> Option<Claim> {
+        let place = usize::try_from(self.law).ok()?.checked_sub(1)?;
+        let Self { beta, k_t, k_p, k_d, .. } = *self;
+        LawKind::ALL.get(place).map(|law| Claim { law: *law, beta, k_t, k_p, k_d })
+    }
+
+    /// Says a law and its gains.
+    pub fn set_claim(&mut self, claim: &Claim) {
+        let place = LawKind::ALL.iter().position(|law| *law == claim.law).unwrap_or(0);
+        self.law = u32::try_from(place + 1).unwrap_or(0);
+        (self.beta, self.k_t, self.k_p, self.k_d) = (claim.beta, claim.k_t, claim.k_p, claim.k_d);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_announcement_says_a_claim_and_none_of_a_law_that_does_not_exist() {
+        let mut announce = Announce::zeroed();
+        assert_eq!(announce.claim(), None);
+        for law in LawKind::ALL {
+            let claim = Claim { law, beta: 5.0, k_t: 100.0, k_p: 25.0, k_d: 10.0 };
+            announce.set_claim(&claim);
+            assert_eq!(announce.claim(), Some(claim));
+        }
+        announce.law = 5;
+        assert_eq!(announce.claim(), None);
     }
 }

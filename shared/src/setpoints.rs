@@ -3,9 +3,9 @@
 //! When no more come, the book brakes: from the last setpoint it goes on smoothly and comes to rest within
 //! [`BRAKE_NS`], the same in every process that has the same last setpoint. To go on with q̈_d would be unbounded.
 
-use crate::chain::LINKS_MAX;
 use crate::sample::{Links, Setpoint, to_vector};
-use crate::trajectory::SetpointValue;
+use loopbound_model::chain::LINKS_MAX;
+use loopbound_model::trajectory::SetpointValue;
 
 /// Ticks that the book holds: more than any lead.
 const CAPACITY: usize = 4096;

@@ -10,7 +10,7 @@
 use crate::clock;
 use crate::doorbell::{Bell, ControlBlock};
 use crate::ports::{Listener, Node, Notifier, PortError};
-use crate::scenario::Wakeup;
+use loopbound_scenario::Wakeup;
 
 /// How long `hybrid` spins before it goes to the doorbell, ns: several round trips, yet little of a period.
 const SPIN_NS: u64 = 60_000;

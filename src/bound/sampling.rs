@@ -2,14 +2,14 @@
 
 use std::fmt::Write as _;
 
-use loopbound_shared::bound::certificate::{Certificate, StartError};
-use loopbound_shared::bound::stability::radius::{Limit, SampledLoop};
-use loopbound_shared::bound::stability::{
+use loopbound_model::bound::certificate::{Certificate, StartError};
+use loopbound_model::bound::stability::radius::{Limit, SampledLoop};
+use loopbound_model::bound::stability::{
     ProvenAge, SamplingBudget, hold_limit_s, hold_limit_ticks, proven_age, sampling_budget, smallest_w,
 };
-use loopbound_shared::law::LawKind;
-use loopbound_shared::scenario::{Scenario, ScenarioError};
-use loopbound_shared::system;
+use loopbound_model::law::LawKind;
+use loopbound_scenario::system;
+use loopbound_scenario::{Scenario, ScenarioError};
 use serde_json::{Value, json};
 
 /// Configurations, beside the aligned ones, over which the spectral radius is taken.

@@ -1,5 +1,5 @@
 use super::*;
-use loopbound_shared::bound::stability::radius::Limit;
+use loopbound_model::bound::stability::radius::Limit;
 
 fn of(scenario: &Scenario, latency_s: f64) -> Answer {
     with_links!(scenario.links(), examine::<N>(scenario, latency_s)).unwrap()

@@ -7,19 +7,20 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use loopbound_controller::{Builtin, ControllerCore};
+use loopbound_model::chain::Vector;
+use loopbound_model::claim::Claim;
+use loopbound_model::integrator::{PlantState, integrate};
+use loopbound_model::law::{Law, LawInput, LawKind, fade_weight, faded};
+use loopbound_model::truth::Truth;
 use loopbound_plant::Brake;
-use loopbound_shared::cast;
-use loopbound_shared::chain::Vector;
-use loopbound_shared::claim::Claim;
+use loopbound_scenario::controllers;
+use loopbound_scenario::system;
+use loopbound_scenario::{Scenario, ScenarioError};
 use loopbound_shared::event::{CommandKind, Decision, HappeningKind, LiveFault, Role};
 use loopbound_shared::fault::FaultPlan;
-use loopbound_shared::integrator::{PlantState, integrate};
-use loopbound_shared::law::{Law, LawInput, LawKind, fade_weight, faded};
+use loopbound_shared::opening;
 use loopbound_shared::realtime::Privileges;
 use loopbound_shared::sample::{Announce, SEGMENTS_MAX, Segment, TickRecord, record_flag, to_links, to_vector};
-use loopbound_shared::scenario::{self, Scenario, ScenarioError};
-use loopbound_shared::system;
-use loopbound_shared::truth::Truth;
 
 /// Ticks that a torque may be under way.
 const HISTORY: usize = 4096;
@@ -104,7 +105,7 @@ impl<const N: usize> Engine<N> {
             state = PlantState { q: to_vector(&first.q), v: to_vector(&first.v) };
         }
         let mut controllers = Vec::new();
-        for part in cast::controllers(scenario).into_iter().filter(|part| part.exe.is_none()) {
+        for part in controllers::of(scenario).into_iter().filter(|part| part.exe.is_none()) {
             controllers.push(Known::new(scenario, part.id, part.law)?);
         }
         Ok(Self {
@@ -129,11 +130,11 @@ impl<const N: usize> Engine<N> {
     /// If the scenario describes no system.
     pub fn learn(&mut self, announce: &Announce) -> Result<(), ScenarioError> {
         let known = self.controllers.iter().any(|known| known.id == announce.id);
-        let named = cast::controllers(&self.scenario).iter().any(|part| part.id == announce.id);
+        let named = controllers::of(&self.scenario).iter().any(|part| part.id == announce.id);
         if announce.role != Role::Controller.code() || known || named {
             return Ok(());
         }
-        let Some(claim) = Claim::of(announce) else { return Ok(()) };
+        let Some(claim) = announce.claim() else { return Ok(()) };
         let found = Known::new(&self.scenario, announce.id, claim.law)?;
         if claim.is_same_law(&Claim::of_law(&found.law)) {
             self.controllers.push(found);
@@ -280,7 +281,7 @@ impl<const N: usize> Engine<N> {
                 continue;
             }
             // It is noted in the tick that it begins with.
-            let commands = cast::opening_commands(&self.scenario, 0);
+            let commands = opening::commands(&self.scenario, 0);
             let scheduled = commands.iter().find(|command| {
                 command.kind == CommandKind::Swap.code()
                     && (command.controller, command.tick) == (happening.subject, record.tick)
@@ -299,7 +300,7 @@ impl<const N: usize> Known<N> {
         Ok(Self {
             id,
             law: system::law(scenario, kind)?,
-            faults: FaultPlan::for_target(scenario, scenario::Role::Controller, id),
+            faults: FaultPlan::for_target(scenario, loopbound_scenario::Role::Controller, id),
             announcement: core.announcement(Privileges::default()),
         })
     }
@@ -316,7 +317,7 @@ mod tests {
         let known = |claim: Claim| {
             let mut engine = Engine::<3>::new(&scenario, &TickRecord::zeroed()).unwrap();
             let mut announce = Announce { role: Role::Controller.code(), id: 9, ..Announce::zeroed() };
-            claim.announce_in(&mut announce);
+            announce.set_claim(&claim);
             engine.learn(&announce).unwrap();
             engine.announcements().any(|announce| announce.id == 9)
         };

@@ -4,13 +4,13 @@
 //! away. Delays of any length act between the ticks, so that bisection finds the boundary to a thousandth. Predicted by
 //! the rule \[11], which knows the fastest mode alone, and by the spectral radius, which knows all of them.
 
-use loopbound_shared::bound::stability::radius::spectral_radius;
-use loopbound_shared::bound::stability::{critical_rate, fast_rate};
-use loopbound_shared::chain::{Chain, Vector};
-use loopbound_shared::law::{Law, LawKind};
+use loopbound_model::bound::stability::radius::spectral_radius;
+use loopbound_model::bound::stability::{critical_rate, fast_rate};
+use loopbound_model::chain::{Chain, Vector};
+use loopbound_model::law::{Law, LawKind};
+use loopbound_scenario::system;
+use loopbound_scenario::{Hertz, Mode, PerLink, Scenario, ScenarioError};
 use loopbound_shared::sample::to_vector;
-use loopbound_shared::scenario::{Hertz, Mode, PerLink, Scenario, ScenarioError};
-use loopbound_shared::system;
 
 use super::cases::nanos;
 use crate::inprocess::InProcess;

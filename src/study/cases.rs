@@ -1,12 +1,10 @@
 //! What the paper's study runs: the laws with their gains, the cases, and the scenario of each pair.
 
-use loopbound_shared::bound::certificate::{Certificate, Gains, StartError, certificate};
-use loopbound_shared::bound::stability::sampling_budget;
-use loopbound_shared::law::LawKind;
-use loopbound_shared::scenario::{
-    DisturbanceKind, DisturbanceSpec, Hertz, Mode, Nanos, PerLink, Scenario, ScenarioError,
-};
-use loopbound_shared::system;
+use loopbound_model::bound::certificate::{Certificate, Gains, StartError, certificate};
+use loopbound_model::bound::stability::sampling_budget;
+use loopbound_model::law::LawKind;
+use loopbound_scenario::system;
+use loopbound_scenario::{DisturbanceKind, DisturbanceSpec, Hertz, Mode, Nanos, PerLink, Scenario, ScenarioError};
 
 /// Amplitude of the disturbance on each link, N·m.
 pub const DISTURBANCE_NM: f64 = 2.0;

@@ -27,9 +27,9 @@ use std::io::Write as _;
 use anyhow::Context as _;
 use loopbound_monitor::hops::Hop;
 use loopbound_monitor::verdict::comparison::compare_hop;
+use loopbound_scenario::{Nanos, Scenario};
 use loopbound_shared::clock;
 use loopbound_shared::say;
-use loopbound_shared::scenario::{Nanos, Scenario};
 use serde::Serialize;
 use serde_json::Value;
 
@@ -304,7 +304,7 @@ fn print(args: &LoadArgs, report: &Report, folder: &Folder) -> anyhow::Result<()
         writeln!(out, "{line}")?;
     }
     for rate in &report.advice.rates {
-        writeln!(out, "\n{}: {}", loopbound_shared::scenario::format_rate(rate.rate_hz), rate.words)?;
+        writeln!(out, "\n{}: {}", loopbound_scenario::format_rate(rate.rate_hz), rate.words)?;
     }
     writeln!(out)?;
     for only in &report.for_each_load {

@@ -2,12 +2,12 @@
 //!
 //! Errors, torque and chattering count from `loop.settle` on, the bound from the start.
 
+use loopbound_model::chain::{Chain, Vector};
 use loopbound_monitor::judge::Judge;
 use loopbound_monitor::summary::BoundSummary;
 use loopbound_monitor::tracker::{Config, Tracker, segments};
-use loopbound_shared::chain::{Chain, Vector};
+use loopbound_scenario::{Mode, Scenario, ScenarioError};
 use loopbound_shared::sample::{TickRecord, record_flag, to_vector};
-use loopbound_shared::scenario::{Mode, Scenario, ScenarioError};
 
 use crate::inprocess::InProcess;
 

@@ -3,11 +3,12 @@
 use std::fmt::Write as _;
 use std::io::Write as _;
 
-use loopbound_shared::bound::stability::sampling_budget;
-use loopbound_shared::law::LawKind;
+use loopbound_model::bound::stability::sampling_budget;
+use loopbound_model::law::LawKind;
+use loopbound_model::with_links;
+use loopbound_scenario::system;
+use loopbound_scenario::{Hertz, PerLink, Scenario, ScenarioError};
 use loopbound_shared::say;
-use loopbound_shared::scenario::{Hertz, PerLink, Scenario, ScenarioError};
-use loopbound_shared::{system, with_links};
 
 use super::cases::{Base, Case, NOISE, Variant, nanos, variants};
 use super::measure::{Measured, measure};

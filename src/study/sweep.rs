@@ -3,11 +3,11 @@
 use std::fmt::Write as _;
 use std::io::Write as _;
 
+use loopbound_model::law::LawKind;
+use loopbound_model::with_links;
 use loopbound_monitor::chart::{Axis as ChartAxis, Figure, Panel, Series, Style};
-use loopbound_shared::law::LawKind;
+use loopbound_scenario::ScenarioError;
 use loopbound_shared::say;
-use loopbound_shared::scenario::ScenarioError;
-use loopbound_shared::with_links;
 
 use super::boundary::{Boundary, Probe};
 use super::table::short;

@@ -1,6 +1,6 @@
 //! The studies: their table against a golden one, and what makes them fast.
 
-use loopbound_shared::law::LawKind;
+use loopbound_model::law::LawKind;
 
 use super::cases::{Base, Case, Variant, variants};
 use super::*;

@@ -6,10 +6,10 @@ use std::path::PathBuf;
 use std::process::ExitStatus;
 
 use anyhow::Context as _;
+use loopbound_model::quote;
+use loopbound_scenario::input;
 use loopbound_shared::clock;
 use loopbound_shared::group::Group;
-use loopbound_shared::input;
-use loopbound_shared::quote;
 use loopbound_shared::realtime::{ProcessHandle, Signal};
 use loopbound_shared::sample::Announce;
 

@@ -12,9 +12,9 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 
+use loopbound_model::law::LawKind;
 use loopbound_shared::clock;
 use loopbound_shared::group::Group;
-use loopbound_shared::law::LawKind;
 use loopbound_shared::run_id::RunId;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::net::sockopt::socket_peercred;

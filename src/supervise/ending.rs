@@ -3,11 +3,11 @@
 use std::os::unix::process::ExitStatusExt as _;
 use std::sync::atomic::Ordering::SeqCst;
 
+use loopbound_scenario::Role;
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::Bell;
 use loopbound_shared::event::CommandKind;
 use loopbound_shared::sample::Command;
-use loopbound_shared::scenario::Role;
 
 use super::child::Child;
 use super::record::Death;

@@ -2,10 +2,10 @@
 //!
 //! The supervisor keeps it up to date by renaming a whole new file over the old one, so a reader never sees half.
 
+use loopbound_scenario::Role;
 use loopbound_shared::event::Acceptance;
 use loopbound_shared::group::Group;
 use loopbound_shared::sample::TickRecord;
-use loopbound_shared::scenario::Role;
 use serde::{Deserialize, Serialize};
 
 use super::child::Child;

@@ -1,8 +1,8 @@
 //! The start of a group: everyone becomes ready, then the plant gets its members and its clock.
 
-use loopbound_shared::cast;
+use loopbound_scenario::Role;
 use loopbound_shared::clock;
-use loopbound_shared::scenario::Role;
+use loopbound_shared::opening;
 
 use super::child::Child;
 use super::ending::LEAVE_NS;
@@ -56,7 +56,7 @@ impl Supervisor<'_> {
 
     /// Gives the plant its members and its clock, then watches until the end.
     pub(super) fn run(&mut self) -> End {
-        let start = cast::opening_commands(self.scenario, self.scenario.loop_.ticks());
+        let start = opening::commands(self.scenario, self.scenario.loop_.ticks());
         for command in start {
             let failure = match self.ask_plant(command) {
                 Ok(reply) => refusal(command, reply).map(|why| (Exit::Internal, why)),

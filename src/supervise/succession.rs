@@ -2,11 +2,11 @@
 //!
 //! A controller's number is never given twice: what a dead one may still have under way is of a stranger.
 
+use loopbound_scenario::Role;
 use loopbound_shared::clock;
 use loopbound_shared::event::CommandKind;
 use loopbound_shared::realtime::{priority, set_priority};
 use loopbound_shared::sample::Command;
-use loopbound_shared::scenario::Role;
 
 use super::Supervisor;
 use super::child::Child;

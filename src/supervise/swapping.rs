@@ -3,15 +3,15 @@
 
 use std::collections::VecDeque;
 
+use loopbound_model::with_links;
 use loopbound_monitor::judge::Judge;
 use loopbound_monitor::summary::SwapSummary;
 use loopbound_monitor::tracker::segments;
 use loopbound_monitor::{Config, Row, Tracker};
+use loopbound_scenario::{Restart, Role, Scenario, ScenarioError};
 use loopbound_shared::clock;
 use loopbound_shared::event::{CommandKind, Refusal, ReplyKind};
 use loopbound_shared::sample::{Announce, Command, Reply, TickRecord};
-use loopbound_shared::scenario::{Restart, Role, Scenario, ScenarioError};
-use loopbound_shared::with_links;
 
 use super::Supervisor;
 use super::control::{Answer, Client, Request, SwapReport, SwapRequest};

@@ -4,9 +4,9 @@
 
 use std::sync::atomic::Ordering::SeqCst;
 
+use loopbound_scenario::Role;
 use loopbound_shared::event::CommandKind;
 use loopbound_shared::sample::Command;
-use loopbound_shared::scenario::Role;
 
 use super::{ANSWER_NS, Supervisor};
 

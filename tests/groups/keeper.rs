@@ -6,8 +6,8 @@ use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
+use loopbound_model::rng::{Stream, bits};
 use loopbound_shared::clock;
-use loopbound_shared::rng::{Stream, bits};
 use rustix::process::Signal;
 
 use crate::harness::{Case, Running, processes_that_mention, send, wait_until};

@@ -1,11 +1,11 @@
 //! On virtual time a group of processes gives the same records as the same code in one process, to the last bit.
 
 use loopbound::inprocess::InProcess;
+use loopbound_model::with_links;
+use loopbound_scenario::Scenario;
 use loopbound_shared::clock;
 use loopbound_shared::ports::Subscriber;
 use loopbound_shared::sample::{TickRecord, record_flag};
-use loopbound_shared::scenario::Scenario;
-use loopbound_shared::with_links;
 
 use crate::fold::{fingerprint, golden};
 use crate::harness::{Case, PATIENCE_S, Running};

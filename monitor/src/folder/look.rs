@@ -9,7 +9,7 @@ use rustix::fs::{FlockOperation, Mode, OFlags};
 use super::known::{SAMPLES, SUMMARY};
 use super::manifest::{Kind, Manifest, Stamp, State};
 use super::{FILE, FolderError};
-use loopbound_shared::input;
+use loopbound_scenario::input;
 
 /// What was found.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::io::{self, Read};
 use std::path::{Component, Path};
 
-use loopbound_shared::input;
+use loopbound_scenario::input;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 

@@ -1,10 +1,10 @@
 //! The figures of the bound, law by law. V, its level, C1, ‖W‖ and what was observed of them belong to one law with its
 //! gains: those of two are never mixed. Counts are kept for the whole run as well.
 
-use loopbound_shared::bound::certificate::Certificate;
-use loopbound_shared::bound::diagnose::{IntervalDiagnosis, Verdict};
-use loopbound_shared::bound::stability::sampling_budget_with_jitter;
-use loopbound_shared::law::LawKind;
+use loopbound_model::bound::certificate::Certificate;
+use loopbound_model::bound::diagnose::{IntervalDiagnosis, Verdict};
+use loopbound_model::bound::stability::sampling_budget_with_jitter;
+use loopbound_model::law::LawKind;
 
 use super::CertifiedLaw;
 use crate::summary::{BoundSummary, LawSummary, finite};

@@ -2,7 +2,7 @@
 //!
 //! What the server behind would read in another way must not pass: so whatever is no plain request is refused here.
 
-use loopbound_shared::quote;
+use loopbound_model::quote;
 
 use super::origin::Origin;
 

@@ -5,7 +5,7 @@ use std::fmt;
 use std::net::{Ipv4Addr, Ipv6Addr};
 use std::str::FromStr;
 
-use loopbound_shared::quote;
+use loopbound_model::quote;
 
 /// Foxglove in the browser.
 const FOXGLOVE: &str = "https://app.foxglove.dev";

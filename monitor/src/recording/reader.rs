@@ -8,7 +8,7 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
-use loopbound_shared::input;
+use loopbound_scenario::input;
 use loopbound_shared::layout::from_content;
 use loopbound_shared::sample::{Announce, Message as _, TickRecord};
 use mcap::records::Record;

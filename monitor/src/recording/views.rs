@@ -2,7 +2,7 @@
 //!
 //! The recording and the live view both take their messages from here.
 
-use loopbound_shared::chain::LINKS_MAX;
+use loopbound_model::chain::LINKS_MAX;
 use loopbound_shared::sample::TickRecord;
 
 use super::{About, Started, proto, scene};

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use loopbound_shared::scenario::Scenario;
-use loopbound_shared::with_links;
+use loopbound_model::with_links;
+use loopbound_scenario::Scenario;
 
 use crate::folder::{known, recorded_scenario};
 use crate::hops::Hops;

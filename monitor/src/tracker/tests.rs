@@ -1,10 +1,10 @@
 //! Known answers for every figure and cause, from records made on paper.
 
+use loopbound_model::law::LawKind;
+use loopbound_scenario::Scenario;
 use loopbound_shared::event::{Decision, HappeningKind, Refusal};
-use loopbound_shared::law::LawKind;
 use loopbound_shared::realtime::Evidence;
 use loopbound_shared::sample::{Receipt, torque_flag};
-use loopbound_shared::scenario::Scenario;
 
 use super::*;
 use crate::testing::*;

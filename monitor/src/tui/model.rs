@@ -4,10 +4,10 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use loopbound_shared::chain::LINKS_MAX;
+use loopbound_model::chain::LINKS_MAX;
+use loopbound_scenario::{Mode, Scenario, ScenarioError};
 use loopbound_shared::event::{LiveFault, Role};
 use loopbound_shared::sample::{Announce, TickRecord};
-use loopbound_shared::scenario::{Mode, Scenario, ScenarioError};
 
 use crate::event::{Event, EventKind};
 use crate::hops::Hop;

@@ -200,9 +200,9 @@ fn describe(event: &Event) -> String {
 mod tests {
     use super::*;
     use crate::testing::{Loop, unanswered};
-    use loopbound_shared::law::LawKind;
+    use loopbound_model::law::LawKind;
+    use loopbound_scenario::Scenario;
     use loopbound_shared::sample::Announce;
-    use loopbound_shared::scenario::Scenario;
     use ratatui::Terminal;
     use ratatui::backend::TestBackend;
 

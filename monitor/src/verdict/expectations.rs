@@ -6,10 +6,11 @@
 //! floor divides its part between the quantile and the floor's. Every other key is what it is, and is compared directly;
 //! so are all keys in lockstep, where a latency is what the scenario says and not a sample.
 
+use loopbound_model::quote;
+use loopbound_model::quote::nearest;
+use loopbound_scenario::{Budget, Comparator, ExpectSection, Expectation};
 use loopbound_shared::headline::Headline;
-use loopbound_shared::quote;
 use loopbound_shared::sample::Counters;
-use loopbound_shared::scenario::{Budget, Comparator, ExpectSection, Expectation, nearest};
 use serde_json::Value;
 
 use super::blocks::{Blocks, LAST_BUCKET, NEVER_NS};

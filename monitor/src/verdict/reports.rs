@@ -2,8 +2,8 @@
 
 use std::fmt::Write as _;
 
+use loopbound_model::quote;
 use loopbound_shared::headline::Headline;
-use loopbound_shared::quote;
 
 use crate::summary::{Finding, Summary, Verdict};
 

@@ -4,7 +4,7 @@ const GRACE_NS: u64 = 500_000;
 const PERIOD_NS: u64 = 1_000_000;
 
 fn rules() -> SwapRules {
-    SwapRules::of(&loopbound_shared::scenario::Scenario::default())
+    SwapRules::of(&loopbound_scenario::Scenario::default())
 }
 
 /// Controller 1 in charge, 2 and 3 its standbys, in this order; tick 1 is open.

@@ -1,6 +1,6 @@
 //! Which of the last ticks had no torque on time: one bit a tick, as many as the rule of misses may look at.
 
-use loopbound_shared::scenario::ROLLBACK_WINDOW_MAX;
+use loopbound_scenario::ROLLBACK_WINDOW_MAX;
 
 const WORDS: usize = (ROLLBACK_WINDOW_MAX as usize).div_ceil(64);
 

@@ -322,7 +322,7 @@ fn choose(settings: &[Setting], rates: &[AtRate]) -> (Option<usize>, bool, Strin
     };
     let equal = best.iter().copied().filter(|at| w(*at) <= w(smallest) * (1.0 + SAME_W));
     let choice = equal.fold(smallest, |choice, at| if cpu(at) < cpu(choice) { at } else { choice });
-    let rate = |at: usize| loopbound_shared::scenario::format_rate(settings[at].rate_hz);
+    let rate = |at: usize| loopbound_scenario::format_rate(settings[at].rate_hz);
     let mut words = format!(
         "{}, {}: the smallest ‖W‖ that its latency allows is {:.4}.",
         rate(choice),

@@ -10,7 +10,7 @@ use loopbound_monitor::hops::{Hop, Hops};
 use loopbound_monitor::summary::{Latency, Quantiles};
 use loopbound_monitor::verdict::blocks::Blocks;
 use loopbound_monitor::verdict::comparison::{self, Estimate, QUANTILES};
-use loopbound_shared::scenario::{Hertz, Scenario, Wakeup};
+use loopbound_scenario::{Hertz, Scenario, Wakeup};
 use serde::{Deserialize, Serialize};
 
 use super::cpu::CpuUse;

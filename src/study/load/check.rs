@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use loopbound_shared::scenario::{Nanos, Scenario};
+use loopbound_scenario::{Nanos, Scenario};
 
 use super::advice::Setting;
 use super::case::{Case, Measured, Row};

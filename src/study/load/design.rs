@@ -3,11 +3,12 @@
 use std::cell::RefCell;
 use std::collections::HashMap;
 
+use loopbound_model::bound::certificate::{Certificate, StartError};
+use loopbound_model::bound::stability::{sampling_budget, smallest_w};
+use loopbound_model::with_links;
 use loopbound_monitor::hops::HIGHEST_NS;
-use loopbound_shared::bound::certificate::{Certificate, StartError};
-use loopbound_shared::bound::stability::{sampling_budget, smallest_w};
-use loopbound_shared::scenario::{Scenario, ScenarioError};
-use loopbound_shared::{system, with_links};
+use loopbound_scenario::system;
+use loopbound_scenario::{Scenario, ScenarioError};
 
 /// Searches gains for the latencies of one scenario, each search once.
 #[derive(Debug)]
@@ -106,8 +107,8 @@ fn search<const N: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use loopbound_shared::law::LawKind;
-    use loopbound_shared::scenario::{Hertz, LoopSection};
+    use loopbound_model::law::LawKind;
+    use loopbound_scenario::{Hertz, LoopSection};
 
     fn designer() -> Designer {
         Designer::new(Scenario::default(), 0.6)

@@ -10,11 +10,11 @@ use std::process::{Child, Command, Stdio};
 
 use loopbound_monitor::hops::Hops;
 use loopbound_monitor::{Summary, log};
+use loopbound_scenario::input;
+use loopbound_scenario::{Nanos, Scenario};
 use loopbound_shared::clock;
 use loopbound_shared::group::file_of;
-use loopbound_shared::input;
 use loopbound_shared::realtime::{ProcessHandle, Signal, Step};
-use loopbound_shared::scenario::{Nanos, Scenario};
 use thiserror::Error;
 
 use super::case::{Case, Rights, Run};

@@ -3,9 +3,9 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use loopbound_model::law::LawKind;
+use loopbound_scenario::{Hertz, Mode, Nanos, Scenario, Wakeup, parse_duration, parse_rate};
 use loopbound_shared::clock::{NS_PER_S, seconds};
-use loopbound_shared::law::LawKind;
-use loopbound_shared::scenario::{Hertz, Mode, Nanos, Scenario, Wakeup, parse_duration, parse_rate};
 use serde::{Deserialize, Serialize};
 
 use super::case::{Case, Rights};

@@ -1,7 +1,7 @@
 //! `load.html`: the study as one page that needs no network and no script.
 
 use loopbound_monitor::chart::{Theme, to_svg};
-use loopbound_shared::scenario::format_rate;
+use loopbound_scenario::format_rate;
 
 use super::Report;
 use super::advice::ForLoad;

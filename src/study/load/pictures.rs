@@ -1,7 +1,7 @@
 //! The study as heat maps: a cell for each case, one map for each thing that one chooses by.
 
 use loopbound_monitor::chart::{Figure, HeatMap, Panel, Scale};
-use loopbound_shared::scenario::format_rate;
+use loopbound_scenario::format_rate;
 
 use super::Report;
 use super::case::{Rights, Row};

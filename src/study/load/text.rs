@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use loopbound_monitor::summary::Quantiles;
 pub use loopbound_monitor::verdict::expectations::time;
-use loopbound_shared::scenario::format_rate;
+use loopbound_scenario::format_rate;
 
 use super::Report;
 use super::advice::Setting;
