@@ -187,6 +187,12 @@ impl<const N: usize> Judge<N> {
         }
     }
 
+    /// Whether controller `id` has said what it is.
+    #[must_use]
+    pub fn knows(&self, id: u32) -> bool {
+        self.claims.iter().any(|said| said.id == id)
+    }
+
     /// A claim with its certificate: the scenario's if it is the scenario's law, else one of its own.
     fn certified(&self, claim: &Claim) -> CertifiedLaw<N> {
         let kind = claim.law;

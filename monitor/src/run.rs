@@ -288,10 +288,14 @@ impl<'a, const N: usize> Watch<'a, N> {
     fn drain(&mut self) -> usize {
         let (mut count, batch_ns) = (0, now_ns());
         while count < BATCH_MAX {
-            let Self { records, tracker, recorder, live, last_seen, faults, .. } = self;
+            let Self { records, announces, members, tracker, recorder, live, last_seen, faults, .. } = self;
             let taken = records.take_with(|record| {
                 suffer(faults, record, tracker.last_tick());
                 *last_seen |= record.flags & record_flag::LAST != 0;
+                // One that was started for a swap may be in charge before the next look at everything else.
+                if !tracker.knows(record.active) {
+                    learn(announces, members, tracker, recorder);
+                }
                 let Some(row) = tracker.feed(record) else { return };
                 if let Some(live) = live {
                     live.tick(record, &row, batch_ns);
@@ -337,13 +341,8 @@ impl<'a, const N: usize> Watch<'a, N> {
 
     fn care(&mut self, now_ns: u64) {
         let _ = self.announcer.update_connections();
-        while let Some(announce) = self.announces.take() {
-            self.members.learn(&announce);
-            self.tracker.learn(&announce);
-            if let Some(recorder) = &mut self.recorder {
-                recorder.announce(&announce);
-            }
-        }
+        let Self { announces, members, tracker, recorder, .. } = self;
+        learn(announces, members, tracker, recorder);
         if let Some(live) = &mut self.live {
             live.care(now_ns);
         }
@@ -468,6 +467,22 @@ impl<'a, const N: usize> Watch<'a, N> {
         }
         self.tell_loss();
         Ok(summary)
+    }
+}
+
+/// Takes what the processes have said of themselves.
+fn learn<const N: usize>(
+    announces: &Announces,
+    members: &mut Members,
+    tracker: &mut Tracker<N>,
+    recorder: &mut Option<Recorder>,
+) {
+    while let Some(announce) = announces.take() {
+        members.learn(&announce);
+        tracker.learn(&announce);
+        if let Some(recorder) = recorder {
+            recorder.announce(&announce);
+        }
     }
 }
 

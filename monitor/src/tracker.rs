@@ -228,6 +228,12 @@ impl<const N: usize> Tracker<N> {
         }
     }
 
+    /// Whether controller `id` has said what it is, as far as anybody here asks.
+    #[must_use]
+    pub fn knows(&self, id: u32) -> bool {
+        id == 0 || self.judge.as_ref().is_none_or(|judge| judge.knows(id))
+    }
+
     /// Changes of the controller in charge so far.
     #[must_use]
     pub fn swaps(&self) -> &Swaps {

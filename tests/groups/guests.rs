@@ -9,9 +9,12 @@ const LONG: &str = "[loop]\nduration = \"120s\"\n";
 
 /// A monitor that is in the group and judges: it has all of a monitor's ports by then.
 fn attached(case: &Case, name: &str) -> Running {
-    let monitor = case.start(&["monitor", "--group", &case.group, "--json", "--out", name]);
+    let mut monitor = case.start(&["monitor", "--group", &case.group, "--json", "--out", name]);
     let samples = case.work.path().join(name).join("samples.csv");
-    wait_until("the monitor is in the group", || samples.exists());
+    wait_until("the monitor is in the group", || {
+        assert!(monitor.runs() || samples.exists(), "it did not get in: {}", monitor.said());
+        samples.exists()
+    });
     monitor
 }
 

@@ -32,6 +32,8 @@ fn the_command_and_the_summary_give_one_account_of_a_swap_and_figures_law_by_law
         for key in ["torque_difference_nm", "delta_v", "missed_ticks", "blended_ticks"] {
             assert_eq!(report[key], entry[key], "{key}");
         }
+        // The new controller's law was known by the first tick that it was in charge of.
+        assert!(entry["delta_v"].is_number(), "{entry}");
         let faded = entry["blended_ticks"].as_u64().expect("a count");
         assert_eq!(faded > 0, blend == "20ms", "{entry}");
         let laws = summary["bound"]["laws"].as_array().expect("a list");
