@@ -13,6 +13,7 @@ use loopbound_model::law::LawKind;
 use loopbound_model::quote;
 use loopbound_model::with_links;
 use loopbound_scenario::system;
+use loopbound_scenario::system::advice::{self, Remedy};
 use loopbound_scenario::{Scenario, ScenarioError, parse_duration};
 use loopbound_shared::say;
 use serde_json::{Value, json};
@@ -45,7 +46,7 @@ pub fn run(args: &BoundArgs) -> anyhow::Result<Exit> {
     let latency_ns = args.latency.unwrap_or(scenario.plant.actuation_delay.ns());
     let latency_s = latency_ns as f64 * 1e-9;
     let answer =
-        with_links!(scenario.links(), examine::<N>(&scenario, latency_s)).map_err(|e| Failure::usage(e.to_string()))?;
+        with_links!(scenario.links(), advise::<N>(&scenario, latency_s)).map_err(|e| Failure::usage(e.to_string()))?;
     let mut out = say::stdout();
     if args.json {
         writeln!(out, "{}", answer.to_json())?;
@@ -64,6 +65,10 @@ struct Answer {
     sampling: Sampling,
     /// What of the plant lies outside of what the controller declares.
     gaps: Vec<Gap>,
+    /// Settings that would make everything hold; none where it does.
+    remedies: Vec<Remedy>,
+    /// Where everything holds: gains that prove a smaller |e| at this period and latency.
+    better: Option<Remedy>,
 }
 
 fn examine<const N: usize>(scenario: &Scenario, latency_s: f64) -> Result<Answer, ScenarioError> {
@@ -71,7 +76,21 @@ fn examine<const N: usize>(scenario: &Scenario, latency_s: f64) -> Result<Answer
     let certification = system::certification::<N>(scenario, law)?;
     let sampling = sampling::<N>(scenario, &certification.certificate, latency_s)?;
     let gaps = system::gaps::<N>(scenario, law)?;
-    Ok(Answer { law, rate_hz: scenario.loop_.rate.0, certification, sampling, gaps })
+    let rate_hz = scenario.loop_.rate.0;
+    Ok(Answer { law, rate_hz, certification, sampling, gaps, remedies: Vec::new(), better: None })
+}
+
+/// The answer with what would do, or would do better.
+fn advise<const N: usize>(scenario: &Scenario, latency_s: f64) -> Result<Answer, ScenarioError> {
+    let mut answer = examine::<N>(scenario, latency_s)?;
+    if answer.holds() {
+        let proven_rad = answer.certification.certificate.ultimate_e;
+        let best = advice::best_gains::<N>(scenario, answer.sampling.period_s, latency_s, advice::ROOM)?;
+        answer.better = best.filter(|best| best.certificate.ultimate_e < proven_rad);
+    } else {
+        answer.remedies = advice::remedies::<N>(scenario, latency_s)?;
+    }
+    Ok(answer)
 }
 
 /// Symbol, value, unit and meaning of every number that the law's certificate has.
@@ -92,7 +111,7 @@ fn rows(c: &Certificate) -> Vec<(&'static str, f64, &'static str, &'static str)>
         ("v_ultimate", c.v_ultimate(), "", "ε/α: where V settles at most"),
         ("alpha", c.alpha, "1/s", "rate at which V falls"),
         ("epsilon", c.epsilon, "1/s", "what V may rise by"),
-        ("w_norm", c.w_norm, "", "radius of (e, r) outside which V falls"),
+        ("w_norm", c.w_norm, "", "radius of (e, r) outside which V falls; depends on the unit of time"),
         ("ultimate_e_rad", c.ultimate_e, "rad", "ultimate bound of |e|"),
         ("ultimate_r_rad_s", c.ultimate_r, "rad/s", "ultimate bound of |r|"),
         ("lambda_lo", c.lambda_lo, "kg·m²", "least eigenvalue of M"),
@@ -144,13 +163,20 @@ impl Answer {
         for failure in &self.certification.failures {
             text.push_str(&format!("  missing: {failure}\n"));
         }
-        for remedy in &self.certification.remedies {
-            text.push_str(&format!("  would do: {remedy}\n"));
+        for remedy in &self.remedies {
+            text.push_str(&format!("  would do: {}\n", advised(remedy)));
+        }
+        if self.remedies.is_empty() && !self.holds() {
+            text.push_str("  no single change and no gains of the grid were found that would do\n");
         }
         for (key, value, unit, meaning) in rows(&self.certification.certificate) {
             text.push_str(&format!("  {key:<17}{value:>12.5}  {unit:<14}  {meaning}\n"));
         }
-        text.push_str(&self.sampling.render(self.law));
+        text.push_str(&self.sampling.render());
+        if let Some(better) = &self.better {
+            let room = advice::ROOM * 100.0;
+            text.push_str(&format!("  smallest proven |e| with {room:.0} % of the room: {}\n", advised(better)));
+        }
         text
     }
 
@@ -170,11 +196,33 @@ impl Answer {
             "within_declared": self.gaps.is_empty(),
             "outside": self.gaps.iter().map(ToString::to_string).collect::<Vec<_>>(),
             "missing": certification.failures.iter().map(ToString::to_string).collect::<Vec<_>>(),
-            "remedies": certification.remedies.iter().map(ToString::to_string).collect::<Vec<_>>(),
+            "remedies": self.remedies.iter().map(remedy_to_json).collect::<Vec<_>>(),
+            "better": self.better.as_ref().map(remedy_to_json),
             "certificate": numbers,
             "sampling": self.sampling.to_json(),
         })
     }
+}
+
+/// A remedy as it is typed, with what it gives.
+fn advised(remedy: &Remedy) -> String {
+    let set: Vec<String> = remedy.settings.iter().map(|setting| format!("--set {setting}")).collect();
+    let Certificate { ultimate_e, k_t, .. } = remedy.certificate;
+    let mut text = format!("{}  (|e| proven to {ultimate_e:.4} rad", set.join(" "));
+    if k_t > 0.0 {
+        text.push_str(&format!(", gain {k_t:.4}"));
+    }
+    if let Some(used) = remedy.used {
+        text.push_str(&format!(", {:.1} % of [11] used", used * 100.0));
+    }
+    text + ")"
+}
+
+fn remedy_to_json(remedy: &Remedy) -> Value {
+    let Certificate { ultimate_e, w_norm, k_t, .. } = remedy.certificate;
+    json!({
+        "set": remedy.settings, "ultimate_e_rad": ultimate_e, "w_norm": w_norm, "k_t": k_t, "used": remedy.used,
+    })
 }
 
 #[cfg(test)]

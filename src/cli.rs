@@ -127,7 +127,7 @@ Exit codes: 0 passed, 1 failed, 3 inconclusive, 5 the recording is not whole.")]
 Examples:
   loopbound bound
   loopbound bound --law ctc --set controller.uncertainty.mass=0.1
-  loopbound bound --latency 100us                      what that latency leaves, and the best gains for it
+  loopbound bound --latency 100us                      what that latency leaves, and gains that prove more
   loopbound bound scenarios/mismatch.toml --json")]
     Bound(bound::BoundArgs),
     /// Run many cases of one question, and write tables, pictures and conclusions.

@@ -10,13 +10,15 @@
 //! | [`envelope`] | what is assumed about the plant, the disturbance and the reference |
 //! | [`certificate`] | which V̇ ≤ −… + ε follows from it, with which gains, and what is missing when none does |
 //! | [`coverage`] | whether a plant lies within what the certificate assumes of it |
-//! | [`remedy`] | which single change would make the certificate hold |
+//! | [`design`] | which gains prove the smallest error at a period and a latency |
+//! | [`remedy`] | what a certificate lacks, and which changes would make it hold |
 //! | [`lyapunov`] | V, its promised rate, the observed Ψ, and which blends of laws a certificate covers |
 //! | [`diagnose`] | whether an interval kept the promise, and if not whose fault it was |
 //! | [`stability`] | how late a torque may be: \[11], \[12], \[13] and the spectral radius of the sampled loop |
 
 pub mod certificate;
 pub mod coverage;
+pub mod design;
 pub mod diagnose;
 pub mod envelope;
 pub mod lyapunov;

@@ -3,6 +3,8 @@
 //! Chain, plant and motion come from the scenario's own `build_…`; every process and every study builds the rest here,
 //! so they can't disagree about what a scenario means.
 
+pub mod advice;
+
 mod check;
 
 pub use check::{check, remarks};
@@ -82,7 +84,7 @@ pub fn input<const N: usize>(state: &PlantState<N>, setpoint: &SetpointValue<N>)
     LawInput { q: state.q, v: state.v, q_d: setpoint.q_d, v_d: setpoint.v_d, a_d: setpoint.a_d }
 }
 
-/// The certificate of a law in a scenario; searches for remedies where it does not hold (milliseconds).
+/// The certificate of a law in a scenario, with what it lacks.
 ///
 /// # Errors
 /// If the scenario describes no system.
@@ -122,13 +124,22 @@ pub fn law<const N: usize>(scenario: &Scenario, kind: LawKind) -> Result<Law<N>,
 /// # Errors
 /// If the scenario describes no system.
 pub fn gaps<const N: usize>(scenario: &Scenario, kind: LawKind) -> Result<Vec<Gap>, ScenarioError> {
-    let around = Surroundings {
+    let (truth, assumptions) = (scenario.build_truth::<N>()?, assumptions::<N>(scenario)?);
+    Ok(gaps_of(
+        &truth,
+        &assumptions,
+        &law::<N>(scenario, kind)?,
+        &certificate_of::<N>(scenario, kind)?,
+        &surroundings(scenario),
+    ))
+}
+
+fn surroundings(scenario: &Scenario) -> Surroundings {
+    Surroundings {
         period_s: Nanos(scenario.period_ns()).seconds(),
         actuation_delay_s: scenario.plant.actuation_delay.seconds(),
         speed_limit_rad_s: scenario.plant.speed_limit,
-    };
-    let (truth, assumptions) = (scenario.build_truth::<N>()?, assumptions::<N>(scenario)?);
-    Ok(gaps_of(&truth, &assumptions, &law::<N>(scenario, kind)?, &certificate_of::<N>(scenario, kind)?, &around))
+    }
 }
 
 /// What the controllers of a scenario claim: its laws, in the order of [`LawKind::ALL`].

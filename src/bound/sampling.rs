@@ -1,19 +1,15 @@
-//! What period and latency leave of a certificate: \[11], \[12], \[13], and the smallest ‖W‖ for a latency.
+//! What period and latency leave of a certificate: \[11], \[12], \[13] and the spectral radius.
 
 use std::fmt::Write as _;
 
-use loopbound_model::bound::certificate::{Certificate, StartError};
+use loopbound_model::bound::certificate::Certificate;
 use loopbound_model::bound::stability::radius::{Limit, SampledLoop};
 use loopbound_model::bound::stability::{
-    ProvenAge, SamplingBudget, hold_limit_s, hold_limit_ticks, proven_age, sampling_budget, smallest_w,
+    ProvenAge, SamplingBudget, hold_limit_s, hold_limit_ticks, proven_age, sampling_budget,
 };
-use loopbound_model::law::LawKind;
-use loopbound_scenario::system;
+use loopbound_scenario::system::{self, advice::CONFIGURATIONS};
 use loopbound_scenario::{Scenario, ScenarioError};
 use serde_json::{Value, json};
-
-/// Configurations, beside the aligned ones, over which the spectral radius is taken.
-const CONFIGURATIONS: u32 = 16;
 
 /// The latency side of a scenario.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,8 +34,6 @@ pub struct Sampling {
     pub hold_s: f64,
     /// \[13], whole ticks.
     pub hold_ticks: u32,
-    /// The certificate with the smallest ‖W‖ that all of \[11] allows at this latency.
-    pub smallest_w: Option<Certificate>,
 }
 
 /// Computes the latency side of `scenario` for its certificate.
@@ -55,7 +49,6 @@ pub fn sampling<const N: usize>(
     let period_s = scenario.period_ns() as f64 * 1e-9;
     let law = system::law::<N>(scenario, law_kind)?;
     let assumptions = system::assumptions::<N>(scenario)?;
-    let start = StartError::of(&assumptions.nominal, &system::start::<N>(scenario)?);
     let sampled = SampledLoop::new(&law, &scenario.build_truth::<N>()?.chain, CONFIGURATIONS);
     let envelope = assumptions.envelope();
     let held = (certificate.v_ultimate(), (1.0 + envelope.mu) * envelope.b_hat);
@@ -70,7 +63,6 @@ pub fn sampling<const N: usize>(
         held,
         hold_s: hold_limit_s(certificate, held.0, held.1),
         hold_ticks: hold_limit_ticks(certificate, held.0, held.1, period_s),
-        smallest_w: smallest_w(law_kind, &envelope, Some(&start), period_s, latency_s, 1.0),
     })
 }
 
@@ -121,7 +113,7 @@ impl Sampling {
 
     /// For people.
     #[must_use]
-    pub fn render(&self, law: LawKind) -> String {
+    pub fn render(&self) -> String {
         let state = |stable: bool| if stable { "stable" } else { "UNSTABLE" };
         let margin = self.delay_margin();
         let mut text = format!(
@@ -173,20 +165,6 @@ impl Sampling {
             self.hold_ticks,
             self.held.0
         );
-        match &self.smallest_w {
-            Some(best) => {
-                let _ = writeln!(
-                    text,
-                    "  smallest ‖W‖ at this latency: {:.4}, with K_t = {:.4}, beta = {:.4}, K2 = {:.4}, K3 = {:.5}, C1 = \
-                     {:.4}, c = {:.4}",
-                    best.w_norm, best.k_t, best.beta, best.k2, best.k3, best.c1, best.level
-                );
-            }
-            None if matches!(law, LawKind::Robust | LawKind::RobustFf) => {
-                text.push_str("  no gain of this law is certified at this period and latency\n");
-            }
-            None => {}
-        }
         text
     }
 
@@ -200,11 +178,6 @@ impl Sampling {
             })
         });
         let proven = self.proven.map(|p| json!({"age_s": p.age_s, "gain_share": p.gain_share, "epsilon": p.epsilon}));
-        let smallest = self.smallest_w.map(|w| {
-            json!({
-                "w_norm": w.w_norm, "k_t": w.k_t, "beta": w.beta, "k2": w.k2, "k3": w.k3, "c1": w.c1, "level": w.level,
-            })
-        });
         json!({
             "period_s": self.period_s,
             "latency_s": self.latency_s,
@@ -217,7 +190,6 @@ impl Sampling {
             "spectral_radius_period_max_s": self.radius_period.map(Limit::seconds),
             "proven_age": proven,
             "hold": {"v": self.held.0, "torque_nm": self.held.1, "limit_s": self.hold_s, "ticks": self.hold_ticks},
-            "smallest_w": smallest,
         })
     }
 }

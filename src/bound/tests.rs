@@ -2,7 +2,12 @@ use super::*;
 use loopbound_model::bound::stability::radius::Limit;
 
 fn of(scenario: &Scenario, latency_s: f64) -> Answer {
-    with_links!(scenario.links(), examine::<N>(scenario, latency_s)).unwrap()
+    with_links!(scenario.links(), advise::<N>(scenario, latency_s)).unwrap()
+}
+
+/// The answer without advice, which takes longer.
+fn plain(scenario: &Scenario) -> Answer {
+    with_links!(scenario.links(), examine::<N>(scenario, scenario.plant.actuation_delay.seconds())).unwrap()
 }
 
 fn with(settings: &[&str]) -> Scenario {
@@ -71,7 +76,7 @@ fn every_shipped_scenario_has_a_plant_that_its_controller_declares_and_a_rate_at
     let mut certified = 0;
     for entry in std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios")).unwrap() {
         let scenario = Scenario::load(&entry.unwrap().path()).unwrap();
-        let answer = of(&scenario, 0.0);
+        let answer = plain(&scenario);
         assert!(answer.gaps.is_empty() && answer.sampling.is_stable(), "{}", answer.render());
         certified += u32::from(answer.holds());
     }
@@ -88,7 +93,7 @@ fn the_latency_side_has_the_documented_room_age_and_hold_limit() {
     assert!(sampling.radius < 1.0 && sampling.hold_ticks > 0);
     // 1 kHz is not proven beforehand.
     assert!(sampling.proven.is_some_and(|p| p.age_s < 1e-3), "{:?}", sampling.proven);
-    assert!(sampling.render(LawKind::Robust).contains("left to the live check"));
+    assert!(sampling.render().contains("left to the live check"));
 }
 
 /// The latency side alone.
@@ -132,17 +137,96 @@ fn the_limits_of_delay_and_period_separate_stable_from_unstable_when_they_are_tr
 }
 
 #[test]
-fn a_latency_beyond_the_boundary_is_called_unstable_by_rule_and_radius_and_costs_the_smallest_w() {
-    let scenario = Scenario::default();
-    let late = of(&scenario, 2e-3).sampling;
-    assert!(late.budget.unwrap().used > 1.0 && late.radius > 1.0 && late.render(LawKind::Robust).contains("UNSTABLE"));
-    let w = |latency_s: f64| of(&scenario, latency_s).sampling.smallest_w.unwrap().w_norm;
-    assert!(w(1e-4) < w(1e-3), "a lower latency allows a larger gain and so a smaller radius");
+fn a_latency_beyond_the_boundary_is_called_unstable_by_rule_and_radius() {
+    let late = sampled(&Scenario::default(), 2e-3);
+    assert!(late.budget.unwrap().used > 1.0 && late.radius > 1.0 && late.render().contains("UNSTABLE"));
+}
+
+#[test]
+fn the_gains_that_are_offered_prove_a_smaller_error_and_a_lower_latency_a_smaller_one_still() {
+    let e = |latency_s: f64| {
+        let better = of(&Scenario::default(), latency_s).better.unwrap();
+        let again = Scenario::default().with_sets(&better.settings).unwrap();
+        let again = examine::<3>(&again, latency_s).unwrap();
+        assert!(again.holds() && again.sampling.budget.unwrap().used <= 0.9, "{}", again.render());
+        assert!((again.certification.certificate.ultimate_e / better.certificate.ultimate_e - 1.0).abs() < 1e-12);
+        better.certificate.ultimate_e
+    };
+    assert!(e(5e-4) < e(9e-4));
+    // All of the room, and the gains with which 0.030 rad are proven; ‖W‖ was smallest where 0.170 rad are.
+    assert!(e(0.0) < 0.036);
+}
+
+#[test]
+fn every_remedy_that_is_offered_makes_everything_hold_when_it_is_typed() {
+    let links: Vec<String> = (1..=7).map(|n| format!("plant.links={n}")).collect();
+    let mut cases: Vec<Vec<&str>> = Vec::new();
+    for n in &links {
+        for law in ["robust", "robust-ff", "ctc", "pd+g"] {
+            let law = match law {
+                "robust" => "controller.law=robust",
+                "robust-ff" => "controller.law=robust-ff",
+                "ctc" => "controller.law=ctc",
+                _ => "controller.law=pd+g",
+            };
+            cases.push(vec![n, law]);
+        }
+    }
+    let bad = [
+        &["loop.rate=200Hz"][..],
+        &["controller.gains.c1=10"],
+        &["controller.gains.level=1"],
+        &["controller.gains.k_t=1e4"],
+        &["controller.gains.k_t=20"],
+        &["plant.mass_error=0.1"],
+        &["plant.mass_error=0.3", "controller.law=robust-ff"],
+        &["controller.uncertainty.disturbance_nm=20"],
+        &["controller.law=pd+g", "controller.gains.kp=1e6"],
+        &["controller.law=ctc", "loop.rate=5Hz"],
+        &["controller.gains.shared_v=true", "controller.law=robust-ff", "controller.gains.level=1"],
+        &["plant.friction.coulomb_nm=0.5"],
+        &["plant.torque_limit_nm=300"],
+    ];
+    cases.extend(bad.iter().map(|settings| settings.to_vec()));
+    let mut without = Vec::new();
+    for settings in &cases {
+        let answer = answer(settings);
+        let offered: Vec<Vec<String>> = answer.to_json()["remedies"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|remedy| {
+                remedy["set"].as_array().unwrap().iter().map(|set| set.as_str().unwrap().to_owned()).collect()
+            })
+            .collect();
+        if !answer.holds() && offered.is_empty() {
+            without.push(settings.join(" "));
+        }
+        for remedy in &offered {
+            // It is on the screen as it is typed.
+            let typed: Vec<String> = remedy.iter().map(|set| format!("--set {set}")).collect();
+            assert!(answer.render().contains(&format!("  would do: {}  (", typed.join(" "))), "{}", answer.render());
+            let all: Vec<&str> = settings.iter().copied().chain(remedy.iter().map(String::as_str)).collect();
+            let mended = plain(&with(&all));
+            assert!(mended.holds() && mended.sampling.radius < 1.0, "{all:?}\n{}", mended.render());
+            assert!(mended.sampling.budget.is_none_or(|budget| budget.used <= 0.9), "{all:?}\n{}", mended.render());
+        }
+    }
+    // A random search over β, K2 and c finds nothing for the first three within 90 % of the room either. At 5 Hz the chain
+    // falls between two samples; and 300 N·m are asked for by every gain that is certified.
+    let nothing = [
+        "plant.links=6 controller.law=robust",
+        "plant.links=7 controller.law=robust",
+        "loop.rate=200Hz",
+        "controller.law=ctc loop.rate=5Hz",
+        "plant.torque_limit_nm=300",
+    ];
+    assert_eq!(without, nothing);
 }
 
 #[test]
 fn computed_torque_is_judged_by_its_spectral_radius_alone() {
     let sampling = of(&with(&["controller.law=ctc"]), 1e-3).sampling;
-    assert!(sampling.budget.is_none() && sampling.smallest_w.is_none() && sampling.radius < 1.0);
+    assert!(sampling.budget.is_none() && sampling.radius < 1.0);
     assert!(sampling.to_json()["budget"].is_null() && sampling.radius_margin.seconds() > 1e-3);
 }

@@ -1,5 +1,5 @@
 //! `loopbound study load`: which rate, wake-up mode and privileges this machine can keep, under which load, measured
-//! on real process groups one after the other; and the setting with the smallest ‖W‖ among them.
+//! on real process groups one after the other; and the setting with the smallest proven |e| among them.
 //!
 //! | module | responsible for |
 //! |---|---|
@@ -27,6 +27,7 @@ use std::io::Write as _;
 use anyhow::Context as _;
 use loopbound_monitor::hops::Hop;
 use loopbound_monitor::verdict::comparison::compare_hop;
+use loopbound_scenario::system::advice::Remedy;
 use loopbound_scenario::{Nanos, Scenario};
 use loopbound_shared::clock;
 use loopbound_shared::say;
@@ -47,7 +48,7 @@ use crate::progress::Progress;
 use crate::signals::Stop;
 
 /// Version of `table.json`.
-const REPORT_VERSION: u32 = 1;
+const REPORT_VERSION: u32 = 2;
 /// Below this many ticks beyond a quantile, it is little more than the largest values.
 const TICKS_BEYOND_MIN: f64 = 10.0;
 
@@ -223,9 +224,11 @@ fn judged(mut row: Row, designer: &Designer, measured: Option<&Scenario>) -> Row
     let Some(latency) = row.latency else { return row };
     let smallest = |latency_ns: f64| designer.smallest(row.rate_hz, latency_ns);
     let found = smallest(latency.value_ns);
-    row.w_norm_lower = latency.lower_ns.and_then(smallest).map(|found| found.w_norm);
-    row.w_norm_upper = latency.upper_ns.and_then(smallest).map(|found| found.w_norm);
-    (row.w_norm, row.k_t) = (found.map(|found| found.w_norm), found.map(|found| found.k_t));
+    let proven = |found: &Remedy| found.certificate.ultimate_e;
+    row.e_proven_lower_rad = latency.lower_ns.and_then(smallest).as_ref().map(proven);
+    row.e_proven_upper_rad = latency.upper_ns.and_then(smallest).as_ref().map(proven);
+    row.e_proven_rad = found.as_ref().map(proven);
+    row.k_t = found.map(|found| found.certificate.k_t);
     row.budget_used = measured.and_then(|scenario| budget_used(scenario, latency.value_ns).ok().flatten());
     row
 }
@@ -269,7 +272,7 @@ impl Report {
     pub fn rules(&self) -> String {
         format!(
             "A setting counts by its worst load. It has to miss at most {} of its ticks, take at most {} of one core, and have a \
-             certificate at its latency, the {} of deadline → torque. ‖W‖ is the smallest whose gain uses at most {} of \
+             certificate at its latency, the {} of deadline → torque. The proven |e| is the smallest whose gains use at most {} of \
              [11] with every constant delay up to that latency. Latencies are compared by resampling blocks of 250 ms. \
              Missed ticks that the host may have caused count like any other, and are shown apart.",
             percent(Some(self.limits.missed_max)),

@@ -26,6 +26,7 @@ mod live;
 mod lockstep;
 mod realtime;
 mod recording;
+mod remedies;
 mod resources;
 mod results;
 mod scenario_faults;

@@ -72,8 +72,8 @@ fn check_recommendation(case: &Case, report: &Value, file: &Path) {
     };
     let setting = &report["advice"]["settings"][usize::try_from(choice).expect("an index")];
     let certificate = case.output(&["bound", file.to_str().expect("a path in UTF-8"), "--json"]).json_with(0);
-    let (found, promised) = (certificate["certificate"]["w_norm"].as_f64(), setting["w_norm"].as_f64());
-    let (found, promised) = (found.expect("‖W‖ of the file"), promised.expect("‖W‖ of the table"));
+    let (found, promised) = (certificate["certificate"]["ultimate_e_rad"].as_f64(), setting["e_proven_rad"].as_f64());
+    let (found, promised) = (found.expect("|e| of the file"), promised.expect("|e| of the table"));
     assert!((found / promised - 1.0).abs() < 1e-9, "{found} {promised}");
     assert_eq!(report["check"]["row"]["wakeup"], setting["wakeup"]);
 }

@@ -30,7 +30,7 @@ struct Point<const N: usize> {
 fn target<const N: usize>(kind: LawKind, gains: &Gains, mu: f64, disturbance_nm: f64) -> Target<N> {
     let nominal = unit_chain::<N>();
     let found = certify(kind, &assume(&nominal, mu, disturbance_nm), gains, None);
-    assert!(found.certificate.is_certified(), "{kind} n {N}: {:?} {:?}", found.failures, found.remedies);
+    assert!(found.certificate.is_certified(), "{kind} n {N}: {:?}", found.failures);
     let Gains { beta, k_p, k_d, .. } = *gains;
     let law = Law { kind, model: nominal, beta, k_t: found.certificate.k_t, k_p, k_d };
     Target { certificate: found.certificate, law, mu, disturbance_nm }

@@ -15,7 +15,7 @@ use crate::chain::Chain;
 use crate::law::{LawInput, LawKind};
 
 use super::envelope::{Assumptions, Envelope};
-use super::remedy::{Remedy, Shortfall, remedies, shortfalls};
+use super::remedy::{Shortfall, shortfalls};
 
 /// Gains of a law, and how its certificate is to account for them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -251,13 +251,9 @@ pub struct Certification {
     pub certificate: Certificate,
     /// Requirements that are not met; empty when certified.
     pub failures: Vec<Shortfall>,
-    /// Changes that would each make everything hold; empty when certified, or when none was found.
-    pub remedies: Vec<Remedy>,
 }
 
 /// Certifies a law. V(0) is checked against the level when a start is given.
-///
-/// Not for the loop: failures are searched for remedies, which takes milliseconds.
 #[must_use]
 pub fn certify<const N: usize>(
     law: LawKind,
@@ -269,9 +265,7 @@ pub fn certify<const N: usize>(
     let envelope = assumptions.envelope();
     let certificate = certificate(law, &envelope, gains, start.as_ref());
     let failures = shortfalls(&certificate, &envelope, gains, start.is_some());
-    let remedies =
-        if failures.is_empty() { Vec::new() } else { remedies(law, &envelope, gains, start.as_ref(), &certificate) };
-    Certification { certificate, failures, remedies }
+    Certification { certificate, failures }
 }
 
 /// The certificate alone, without diagnosis of what is missing.

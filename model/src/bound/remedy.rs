@@ -1,13 +1,14 @@
-//! What a certificate lacks, and which single change would mend it.
+//! What a certificate lacks, and which changes would mend it.
 //!
-//! Nothing here is a rule of thumb: every remedy is found by certifying the changed gains or assumptions again, so that
-//! applying it makes all requirements hold at once.
+//! Nothing here is a rule of thumb: every remedy is found by certifying the changed gains or assumptions again, as they
+//! are printed, so that applying it makes all requirements hold at once, those of the sampled loop included.
 
 use core::fmt;
 
 use crate::law::LawKind;
 
-use super::certificate::{Certificate, Gains, StartError, certificate};
+use super::certificate::{Certificate, Gains};
+use super::design::{Candidate, Task, best, round, round_up};
 use super::envelope::Envelope;
 
 /// A requirement of a certificate.
@@ -72,64 +73,100 @@ impl fmt::Display for Shortfall {
 /// A number that a remedy changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quantity {
-    /// c, with K_t following where it is not given.
-    Level,
-    /// C1, N·m.
-    C1,
+    /// μ.
+    Mismatch,
+    /// D, N·m.
+    Disturbance,
+    /// β, 1/s.
+    Beta,
+    /// K2, N·m·s.
+    K2,
     /// K3.
     K3,
+    /// C1, N·m.
+    C1,
+    /// c, with K_t following where it is not given.
+    Level,
     /// K_t, N·m·s, where it was given.
     KTotal,
     /// K_p.
     KP,
     /// K_d.
     KD,
-    /// μ.
-    Mismatch,
-    /// D, N·m.
-    Disturbance,
 }
 
 impl Quantity {
-    /// As in the equations.
+    const ALL: [Self; 10] = [
+        Self::Mismatch,
+        Self::Disturbance,
+        Self::Beta,
+        Self::K2,
+        Self::K3,
+        Self::C1,
+        Self::Level,
+        Self::KTotal,
+        Self::KP,
+        Self::KD,
+    ];
+
+    /// The key of the scenario that holds it.
     #[must_use]
-    pub const fn symbol(self) -> &'static str {
+    pub const fn key(self) -> &'static str {
         match self {
-            Self::Level => "c",
-            Self::C1 => "C1",
-            Self::K3 => "K3",
-            Self::KTotal => "K_t",
-            Self::KP => "K_p",
-            Self::KD => "K_d",
-            Self::Mismatch => "mu",
-            Self::Disturbance => "D",
+            Self::Mismatch => "controller.uncertainty.mass",
+            Self::Disturbance => "controller.uncertainty.disturbance_nm",
+            Self::Beta => "controller.gains.beta",
+            Self::K2 => "controller.gains.k2",
+            Self::K3 => "controller.gains.k3",
+            Self::C1 => "controller.gains.c1",
+            Self::Level => "controller.gains.level",
+            Self::KTotal => "controller.gains.k_t",
+            Self::KP => "controller.gains.kp",
+            Self::KD => "controller.gains.kd",
+        }
+    }
+
+    /// Its value; none where it is not given.
+    fn of(self, envelope: &Envelope, gains: &Gains) -> Option<f64> {
+        match self {
+            Self::Mismatch => Some(envelope.mu),
+            Self::Disturbance => Some(envelope.disturbance_nm),
+            Self::Beta => Some(gains.beta),
+            Self::K2 => Some(gains.k2),
+            Self::K3 => Some(gains.k3),
+            Self::C1 => gains.c1,
+            Self::Level => Some(gains.level),
+            Self::KTotal => gains.k_t,
+            Self::KP => Some(gains.k_p),
+            Self::KD => Some(gains.k_d),
+        }
+    }
+
+    fn set(self, envelope: &mut Envelope, gains: &mut Gains, value: f64) {
+        match self {
+            Self::Mismatch => envelope.mu = value,
+            Self::Disturbance => envelope.disturbance_nm = value,
+            Self::Beta => gains.beta = value,
+            Self::K2 => gains.k2 = value,
+            Self::K3 => gains.k3 = value,
+            Self::C1 => gains.c1 = Some(value),
+            Self::Level => gains.level = value,
+            Self::KTotal => gains.k_t = Some(value),
+            Self::KP => gains.k_p = value,
+            Self::KD => gains.k_d = value,
         }
     }
 }
 
-/// A change that makes every requirement hold.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Remedy {
-    /// What to change.
-    pub quantity: Quantity,
-    /// Its value now, in the certificate that fails.
-    pub now: f64,
-    /// The nearest value found that certifies.
-    pub value: f64,
-    /// A C1 (N·m) that must go with it, where C1 is too small as well.
-    pub with_c1: Option<f64>,
-    /// The gain K_t (K_d in `pd+g` and `ctc`) that the mended certificate asks for.
-    pub k_t: f64,
-}
-
-impl fmt::Display for Remedy {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} = {:.6} instead of {:.6}", self.quantity.symbol(), self.value, self.now)?;
-        if let Some(c1) = self.with_c1 {
-            write!(f, " with C1 = {c1:.6}")?;
-        }
-        write!(f, " (gain {:.6})", self.k_t)
-    }
+/// What leads from some declarations and gains to a candidate.
+#[must_use]
+pub fn changes(from: (&Envelope, &Gains), to: &Candidate) -> Vec<(Quantity, f64)> {
+    let differs = |quantity: Quantity| {
+        let value = quantity.of(&to.envelope, &to.gains)?;
+        let same = quantity.of(from.0, from.1).is_some_and(|now| now.to_bits() == value.to_bits());
+        (!same).then_some((quantity, value))
+    };
+    Quantity::ALL.into_iter().filter_map(differs).collect()
 }
 
 /// The requirements that a certificate misses, most basic first.
@@ -178,72 +215,67 @@ pub fn shortfalls(cert: &Certificate, env: &Envelope, gains: &Gains, has_start: 
     missing
 }
 
-/// Single changes that mend a failing certificate, each the nearest one on its axis that was found.
+/// Candidates that mend what is missing: each single change the nearest one on its axis that was found, and last the
+/// best gains of a grid. If nothing has to change beside what the task declares, that alone.
 #[must_use]
-pub fn remedies(
-    law: LawKind,
-    env: &Envelope,
-    gains: &Gains,
-    start: Option<&StartError>,
-    failing: &Certificate,
-) -> Vec<Remedy> {
-    let axes = match law {
-        LawKind::Robust | LawKind::RobustFf if gains.k_t.is_some() => {
+pub fn remedies(task: &Task<'_>) -> Vec<Candidate> {
+    let as_it_is = task.candidate(task.envelope, task.gains);
+    let mut found = Vec::new();
+    if task.suits(&as_it_is) && (task.fits)(&as_it_is) {
+        found.push(as_it_is);
+    } else {
+        let search = Search { task, c1: None };
+        let covered = Search { c1: Some(round_up(as_it_is.certificate.c1_required)), ..search };
+        found.extend(axes(task).iter().filter_map(|axis| {
+            let alone = search.nearest(*axis);
+            alone.or_else(|| if *axis == Quantity::C1 { None } else { covered.nearest(*axis) })
+        }));
+    }
+    found.extend(best(task).filter(|best| !found.contains(best)));
+    found
+}
+
+fn axes(task: &Task<'_>) -> &'static [Quantity] {
+    match task.law {
+        LawKind::Robust | LawKind::RobustFf if task.gains.k_t.is_some() => {
             &[Quantity::KTotal, Quantity::Level, Quantity::K3, Quantity::C1, Quantity::Mismatch, Quantity::Disturbance]
-                [..]
         }
         LawKind::Robust | LawKind::RobustFf => {
-            &[Quantity::Level, Quantity::K3, Quantity::C1, Quantity::Mismatch, Quantity::Disturbance][..]
+            &[Quantity::Level, Quantity::K3, Quantity::C1, Quantity::Mismatch, Quantity::Disturbance]
         }
         LawKind::Ctc | LawKind::PdG => {
-            &[Quantity::Level, Quantity::KD, Quantity::KP, Quantity::Mismatch, Quantity::Disturbance][..]
+            &[Quantity::Level, Quantity::KD, Quantity::KP, Quantity::Mismatch, Quantity::Disturbance]
         }
-    };
-    let search = Search { law, env, gains, start, c1: None };
-    let covered = Search { c1: Some(failing.c1_required), ..search };
-    axes.iter()
-        .filter_map(|axis| {
-            search
-                .nearest(*axis, failing)
-                .or_else(|| if *axis == Quantity::C1 { None } else { covered.nearest(*axis, failing) })
-        })
-        .collect()
+    }
 }
 
 /// One search along one axis, with C1 raised to a value when it is too small whatever the axis says.
 #[derive(Clone, Copy)]
 struct Search<'a> {
-    law: LawKind,
-    env: &'a Envelope,
-    gains: &'a Gains,
-    start: Option<&'a StartError>,
+    task: &'a Task<'a>,
     c1: Option<f64>,
 }
 
 impl Search<'_> {
-    fn with(&self, axis: Quantity, value: f64) -> Certificate {
-        let (mut env, mut gains) = (*self.env, *self.gains);
+    /// The candidate with the value as it would be printed.
+    fn with(&self, axis: Quantity, value: f64) -> Candidate {
+        let (mut envelope, mut gains) = (self.task.envelope, self.task.gains);
         gains.c1 = self.c1.or(gains.c1);
-        match axis {
-            Quantity::Level => gains.level = value,
-            Quantity::C1 => gains.c1 = Some(value),
-            Quantity::K3 => gains.k3 = value,
-            Quantity::KTotal => gains.k_t = Some(value),
-            Quantity::KP => gains.k_p = value,
-            Quantity::KD => gains.k_d = value,
-            Quantity::Mismatch => env.mu = value,
-            Quantity::Disturbance => env.disturbance_nm = value,
-        }
-        certificate(self.law, &env, &gains, self.start)
+        axis.set(&mut envelope, &mut gains, round(value));
+        self.task.candidate(envelope, gains)
     }
 
-    /// The certified value nearest to the present one: a walk in steps of 12 %, away on both sides (μ and D: down to
-    /// 0), then bisection between the last failing and the first certified value.
-    fn nearest(&self, axis: Quantity, failing: &Certificate) -> Option<Remedy> {
+    /// The value nearest to the present one that suits: a walk in steps of 12 %, away on both sides (μ and D: down to
+    /// 0), then bisection between the last one that doesn't and the first that does. None if that one does not fit.
+    fn nearest(&self, axis: Quantity) -> Option<Candidate> {
         const STEPS: usize = 80;
-        let now = self.value_now(axis, failing);
+        let now = axis.of(&self.task.envelope, &self.task.gains).unwrap_or_else(|| {
+            let as_it_is = self.task.candidate(self.task.envelope, self.task.gains);
+            as_it_is.certificate.c1
+        });
+        let suits = |value: f64| self.task.suits(&self.with(axis, value));
         // Where a larger C1 alone is enough, it is the remedy of its own axis.
-        if !now.is_finite() || self.with(axis, now).is_certified() {
+        if !now.is_finite() || suits(now) {
             return None;
         }
         let ratios: &[f64] = match axis {
@@ -255,35 +287,22 @@ impl Search<'_> {
             for (fails, ratio) in &mut walkers {
                 // From 0 one cannot walk by ratios; and the last step down leads to no mismatch, no disturbance.
                 let next = if step == STEPS && *ratio < 1.0 { 0.0 } else { *fails * *ratio };
-                if self.with(axis, next).is_certified() {
-                    return Some(self.remedy(axis, now, *fails, next));
+                if suits(next) {
+                    let found = self.with(axis, bisect(*fails, next, suits));
+                    return (self.task.fits)(&found).then_some(found);
                 }
                 *fails = next;
             }
         }
         None
     }
+}
 
-    fn remedy(&self, axis: Quantity, now: f64, mut fails: f64, mut holds: f64) -> Remedy {
-        for _ in 0..40 {
-            let middle = 0.5 * (fails + holds);
-            if self.with(axis, middle).is_certified() { holds = middle } else { fails = middle }
-        }
-        let mended = self.with(axis, holds);
-        let k_t = if self.law == LawKind::Ctc { mended.k_d } else { mended.k_t };
-        Remedy { quantity: axis, now, value: holds, with_c1: self.c1, k_t }
+/// The end of what holds, far finer than what is printed.
+fn bisect(mut fails: f64, mut holds: f64, holds_at: impl Fn(f64) -> bool) -> f64 {
+    for _ in 0..24 {
+        let middle = 0.5 * (fails + holds);
+        if holds_at(middle) { holds = middle } else { fails = middle }
     }
-
-    fn value_now(&self, axis: Quantity, failing: &Certificate) -> f64 {
-        match axis {
-            Quantity::Level => self.gains.level,
-            Quantity::C1 => failing.c1,
-            Quantity::K3 => self.gains.k3,
-            Quantity::KTotal => failing.k_t,
-            Quantity::KP => self.gains.k_p,
-            Quantity::KD => self.gains.k_d,
-            Quantity::Mismatch => self.env.mu,
-            Quantity::Disturbance => self.env.disturbance_nm,
-        }
-    }
+    holds
 }

@@ -1,12 +1,11 @@
 //! How late a torque may be: the stability boundary of the sampled loop, the age for which the bound itself is proven,
-//! how long a torque may be held, and the smallest ‖W‖ that a latency allows.
+//! and how long a torque may be held.
 //!
 //! All of it is a design rule or a start-up computation; whether a run kept its bound is the matter of `diagnose`.
 
 use crate::law::LawKind;
 
-use super::certificate::{Certificate, Gains, StartError, certificate};
-use super::envelope::Envelope;
+use super::certificate::Certificate;
 
 pub mod boundary;
 pub mod radius;
@@ -191,44 +190,6 @@ pub fn hold_limit_s(cert: &Certificate, v: f64, tau_norm_nm: f64) -> f64 {
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "saturates, and the limit is not negative")]
 pub fn hold_limit_ticks(cert: &Certificate, v: f64, tau_norm_nm: f64, period_s: f64) -> u32 {
     (hold_limit_s(cert, v, tau_norm_nm) / period_s).floor() as u32
-}
-
-/// The certificate with the smallest ‖W‖ (20) that a period and a latency allow under \[11], for `robust` or
-/// `robust-ff`; none for other laws, or when none is certified.
-///
-/// A tighter ‖W‖ needs a larger gain and hence, by \[11], a lower latency. β, the level and how the gain is shared out
-/// are searched on a fixed grid; K_t is `budget` (at most 1) times what \[11] allows.
-#[must_use]
-pub fn smallest_w(
-    law: LawKind,
-    envelope: &Envelope,
-    start: Option<&StartError>,
-    period_s: f64,
-    delay_s: f64,
-    budget: f64,
-) -> Option<Certificate> {
-    if !matches!(law, LawKind::Robust | LawKind::RobustFf) {
-        return None;
-    }
-    let rate = budget * critical_rate(period_s, delay_s);
-    let mut best: Option<Certificate> = None;
-    for step in 0..49 {
-        let beta = libm::exp2(f64::from(step) * 0.125 - 1.0);
-        let damping = if law == LawKind::RobustFf { beta * (1.0 + envelope.rho()) } else { 0.0 };
-        let k_t = (rate - damping) * envelope.lambda_lo();
-        for (level_step, share) in (0..24).flat_map(|l| (1..16).map(move |s| (l, f64::from(s) / 16.0))) {
-            let level = libm::exp2(f64::from(level_step) * 0.5 - 5.0);
-            let plain = Gains { beta, level, k2: share * k_t, c1: None, ..Gains::of(law) };
-            let probe = certificate(law, envelope, &plain, start);
-            let left = k_t - probe.kappa - plain.k2;
-            let k3 = if probe.c1 > 0.0 { left / (probe.c1 * probe.c1) } else { plain.k3 };
-            let found = certificate(law, envelope, &Gains { k3, ..plain }, start);
-            if left > 0.0 && found.is_certified() && best.is_none_or(|b| found.w_norm < b.w_norm) {
-                best = Some(found);
-            }
-        }
-    }
-    best
 }
 
 #[cfg(test)]

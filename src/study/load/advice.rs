@@ -1,5 +1,5 @@
 //! What to choose, computed from the table: for each rate the mode with the least latency, and among the rates the one
-//! that allows the smallest ‖W‖.
+//! that allows the smallest proven |e|.
 //!
 //! A setting is judged by its worst load, since nobody chooses what else will run. It is feasible if under every load
 //! something is certified at its latency, and misses and CPU stay within their limits. Two settings whose ratio of
@@ -13,8 +13,8 @@ use super::options::Quantile;
 use super::text::{percent, time};
 use crate::background::Kind;
 
-/// Two values of ‖W‖ this close, relative, are the same: searched on the same grid for the same delay.
-const SAME_W: f64 = 1e-9;
+/// Two proven errors this close, relative, are the same: searched on the same grid for the same delay.
+const SAME_E: f64 = 1e-9;
 
 /// Against a setting whose latency has no interval.
 const TOO_FEW_DATA: &str = "too few data for an interval of its latency";
@@ -52,10 +52,10 @@ pub struct Setting {
     pub worst_row: usize,
     /// That latency, ns.
     pub latency_ns: f64,
-    /// The smallest ‖W‖ it allows.
-    pub w_norm: Option<f64>,
+    /// The smallest proven |e| it allows, rad.
+    pub e_proven_rad: Option<f64>,
     /// The limits of that.
-    pub w_norm_limits: (Option<f64>, Option<f64>),
+    pub e_proven_limits: (Option<f64>, Option<f64>),
     /// Most missed ticks under any load, as a share.
     pub missed_share: f64,
     /// Most CPU under any load, of one core.
@@ -212,7 +212,7 @@ fn setting(rows: &[Row], group: &[usize], limits: Limits) -> Setting {
             }
         };
         under("not measured", |row| row.latency.is_none());
-        under("nothing is certified at its latency", |row| row.latency.is_some() && row.w_norm.is_none());
+        under("nothing is certified at its latency", |row| row.latency.is_some() && row.e_proven_rad.is_none());
         under(TOO_FEW_DATA, |row| row.latency.is_some_and(|l| l.lower_ns.is_none() || l.upper_ns.is_none()));
     }
     if let Some(missed) = missed.filter(|missed| *missed > limits.missed_max) {
@@ -234,8 +234,8 @@ fn setting(rows: &[Row], group: &[usize], limits: Limits) -> Setting {
         privileges: row.privileges,
         worst_row: worst,
         latency_ns: latency(worst),
-        w_norm: row.w_norm,
-        w_norm_limits: (row.w_norm_lower, row.w_norm_upper),
+        e_proven_rad: row.e_proven_rad,
+        e_proven_limits: (row.e_proven_lower_rad, row.e_proven_upper_rad),
         missed_share: missed.unwrap_or(1.0),
         cpu,
         against,
@@ -309,30 +309,30 @@ fn times_as_late(ratio: &Ratio) -> String {
     format!("{:.2} times as late ({interval})", ratio.ratio)
 }
 
-/// Among the best of each rate the one with the smallest ‖W‖; of equal ones that which takes less CPU.
+/// Among the best of each rate the one with the smallest proven |e|; of equal ones that which takes less CPU.
 fn choose(settings: &[Setting], rates: &[AtRate]) -> (Option<usize>, bool, String) {
-    let w = |at: usize| settings[at].w_norm.unwrap_or(f64::INFINITY);
+    let proven = |at: usize| settings[at].e_proven_rad.unwrap_or(f64::INFINITY);
     let cpu = |at: usize| settings[at].cpu.unwrap_or(f64::INFINITY);
     let mut best: Vec<usize> = rates.iter().filter_map(|rate| rate.best).collect();
-    best.sort_by(|a, b| w(*a).total_cmp(&w(*b)));
+    best.sort_by(|a, b| proven(*a).total_cmp(&proven(*b)));
     let Some(&smallest) = best.first() else {
         let too_few_data = rates.iter().any(|rate| rate.too_few_data);
         let words = if too_few_data { "None: too few data." } else { "No setting of this study keeps the limits." };
         return (None, !too_few_data, words.to_owned());
     };
-    let equal = best.iter().copied().filter(|at| w(*at) <= w(smallest) * (1.0 + SAME_W));
+    let equal = best.iter().copied().filter(|at| proven(*at) <= proven(smallest) * (1.0 + SAME_E));
     let choice = equal.fold(smallest, |choice, at| if cpu(at) < cpu(choice) { at } else { choice });
     let rate = |at: usize| loopbound_scenario::format_rate(settings[at].rate_hz);
     let mut words = format!(
-        "{}, {}: the smallest ‖W‖ that its latency allows is {:.4}.",
+        "{}, {}: the smallest |e| that is proven at its latency is {:.4} rad.",
         rate(choice),
         settings[choice].name(),
-        w(choice)
+        proven(choice)
     );
     let Some(next) = best.iter().copied().find(|at| *at != choice) else { return (Some(choice), true, words) };
-    let limits = (settings[choice].w_norm_limits.1, settings[next].w_norm_limits.0);
+    let limits = (settings[choice].e_proven_limits.1, settings[next].e_proven_limits.0);
     let clear = limits.0.zip(limits.1).is_some_and(|(upper, lower)| upper < lower);
-    words.push_str(&format!(" The next rate is {}, {:.2} times that", rate(next), w(next) / w(choice)));
+    words.push_str(&format!(" The next rate is {}, {:.2} times that", rate(next), proven(next) / proven(choice)));
     words.push_str(if clear { "." } else { ": no clear winner, their intervals overlap or are not known." });
     (Some(choice), clear, words)
 }

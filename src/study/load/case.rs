@@ -222,13 +222,13 @@ pub struct Row {
     pub cpu: Option<f64>,
     /// The same by role.
     pub cpu_by_role: BTreeMap<String, f64>,
-    /// The smallest ‖W‖ that the latency allows, with the limits that belong to those of the latency.
-    pub w_norm: Option<f64>,
-    /// ‖W‖ for the lower limit of the latency.
-    pub w_norm_lower: Option<f64>,
-    /// ‖W‖ for its upper limit; none also where that allows no certificate.
-    pub w_norm_upper: Option<f64>,
-    /// K_t of that ‖W‖, N·m·s.
+    /// The smallest proven |e| that the latency allows (rad), with the limits that belong to those of the latency.
+    pub e_proven_rad: Option<f64>,
+    /// That for the lower limit of the latency.
+    pub e_proven_lower_rad: Option<f64>,
+    /// That for its upper limit; none also where that allows no certificate.
+    pub e_proven_upper_rad: Option<f64>,
+    /// Gain with which it is proven, N·m·s.
     pub k_t: Option<f64>,
     /// Share of \[11] that the gains in the run used at this latency.
     pub budget_used: Option<f64>,

@@ -16,8 +16,8 @@ use super::text::{percent, time};
 pub struct Check {
     /// Its row; none if the run failed.
     pub row: Option<Row>,
-    /// Largest ‖W‖ that was seen once settled.
-    pub w_norm_max_settled: Option<f64>,
+    /// Largest |e_i| that was seen once settled, rad.
+    pub max_abs_e_rad: Option<f64>,
     /// The verdict of the run by the bound.
     pub verdict: String,
     /// What it did not keep; empty: it kept everything.
@@ -33,7 +33,9 @@ pub fn recommended(plan: &Plan, designer: &Designer, rows: &[Row], setting: &Set
     let scenario = case.apply(&plan.base);
     let latency_ns = rows[setting.worst_row].latency.map_or(0.0, |latency| latency.value_ns);
     let found = designer.smallest(case.rate.0, latency_ns);
-    (case, found.map_or_else(|| scenario.clone(), |found| Designer::with_gains(&scenario, &found)))
+    // The scenario took these gains when they were sought.
+    let mended = found.and_then(|found| Designer::with_gains(&scenario, &found).ok());
+    (case, mended.unwrap_or(scenario))
 }
 
 /// Runs the recommendation under the load that was worst for it, for as long as a case was measured; none if a signal
@@ -48,7 +50,7 @@ pub fn run(plan: &Plan, runner: &Runner<'_>, case: &Case, scenario: &Scenario, s
             return Some(Check { against, words, ..Check::default() });
         }
     };
-    let (verdict, seen) = (run.summary.verdict.status.clone(), run.summary.bound.w_norm_max_settled);
+    let (verdict, seen) = (run.summary.verdict.status.clone(), run.summary.tracking.max_abs_e_rad);
     let mut measured = Measured::default();
     measured.add(run);
     let mut row = measured.row(case, plan.quantile);
@@ -57,7 +59,7 @@ pub fn run(plan: &Plan, runner: &Runner<'_>, case: &Case, scenario: &Scenario, s
     let kept = if against.is_empty() { "it keeps all limits".to_owned() } else { against.join(", ") };
     let words = format!(
         "Measured again with it, {} under load {}: {kept}. Verdict of the run: {verdict}; deadline → torque {} {} (in the \
-         study {}), {} of ticks missed, {} of a core, {} of [11] used; largest ‖W‖ once settled {}.",
+         study {}), {} of ticks missed, {} of a core, {} of [11] used; largest |e_i| once settled {}.",
         Nanos(run_ns),
         case.load.name(),
         plan.quantile.name(),
@@ -66,9 +68,9 @@ pub fn run(plan: &Plan, runner: &Runner<'_>, case: &Case, scenario: &Scenario, s
         percent(row.missed_share),
         percent(row.cpu),
         percent(row.budget_used),
-        seen.map_or("?".to_owned(), |seen| format!("{seen:.4}")),
+        seen.map_or("?".to_owned(), |seen| format!("{seen:.4} rad")),
     );
-    Some(Check { row: Some(row), w_norm_max_settled: seen, verdict, against, words })
+    Some(Check { row: Some(row), max_abs_e_rad: seen, verdict, against, words })
 }
 
 /// What the run did not keep of what the recommendation promises.
@@ -82,10 +84,10 @@ fn against(plan: &Plan, setting: &Setting, row: &Row, seen: Option<f64>) -> Vec<
     share(row.missed_share, plan.missed_max, "of ticks missed");
     share(row.cpu, plan.cpu_max, "of a core");
     share(row.budget_used, 1.0, "of [11] used");
-    if let (Some(seen), Some(w)) = (seen, setting.w_norm)
-        && seen > w
+    if let (Some(seen), Some(most)) = (seen, setting.e_proven_rad)
+        && seen > most
     {
-        against.push(format!("‖W‖ reached {seen:.4}, allowed: {w:.4}"));
+        against.push(format!("|e_i| reached {seen:.4} rad, proven: {most:.4} rad"));
     }
     against
 }
@@ -98,12 +100,13 @@ mod tests {
     #[test]
     fn a_recommendation_that_does_not_keep_its_limits_says_which_and_by_how_much() {
         let plan = plan("--quick").unwrap();
-        let setting = Setting { w_norm: Some(0.3), ..Setting::default() };
+        let setting = Setting { e_proven_rad: Some(0.3), ..Setting::default() };
         let good = Row { missed_share: Some(0.01), cpu: Some(0.5), budget_used: Some(0.6), ..Row::default() };
         assert!(against(&plan, &setting, &good, Some(0.3)).is_empty());
         let bad = Row { missed_share: Some(0.02), cpu: Some(1.6), budget_used: None, ..Row::default() };
         let found = against(&plan, &setting, &bad, Some(0.4)).join(", ");
-        for part in ["2.0 % of ticks missed, allowed: 1.0 %", "160 % of a core", "? of [11]", "0.4000, allowed: 0.3000"]
+        for part in
+            ["2.0 % of ticks missed, allowed: 1.0 %", "160 % of a core", "? of [11]", "0.4000 rad, proven: 0.3000 rad"]
         {
             assert!(found.contains(part), "{found}");
         }

@@ -1,13 +1,14 @@
-//! From a latency to the gains that it allows: the smallest ‖W‖, and the scenario with these gains.
+//! From a latency to the gains that it allows: the smallest proven |e|, and the scenario with these gains.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
 
-use loopbound_model::bound::certificate::{Certificate, StartError};
-use loopbound_model::bound::stability::{sampling_budget, smallest_w};
+use loopbound_model::bound::certificate::Certificate;
+use loopbound_model::bound::stability::sampling_budget;
 use loopbound_model::with_links;
 use loopbound_monitor::hops::HIGHEST_NS;
 use loopbound_scenario::system;
+use loopbound_scenario::system::advice::{Remedy, best_gains};
 use loopbound_scenario::{Scenario, ScenarioError};
 
 /// Searches gains for the latencies of one scenario, each search once.
@@ -15,7 +16,7 @@ use loopbound_scenario::{Scenario, ScenarioError};
 pub struct Designer {
     base: Scenario,
     room: f64,
-    found: RefCell<HashMap<(u64, u64), Option<Certificate>>>,
+    found: RefCell<HashMap<(u64, u64), Option<Remedy>>>,
 }
 
 impl Designer {
@@ -25,12 +26,12 @@ impl Designer {
         Self { base, room, found: RefCell::default() }
     }
 
-    /// The certificate with the smallest ‖W‖ for torques up to `latency_ns` late; none if nothing is certified.
+    /// The gains with the smallest proven |e| for torques up to `latency_ns` late; none if nothing is certified.
     ///
     /// Latency varies from tick to tick, so the loop has to be stable with *every* constant delay up to that. By \[11]
     /// the least stable one below h/2 is no delay at all (the hold alone), above it the longest.
     #[must_use]
-    pub fn smallest(&self, rate_hz: f64, latency_ns: f64) -> Option<Certificate> {
+    pub fn smallest(&self, rate_hz: f64, latency_ns: f64) -> Option<Remedy> {
         if is_never(latency_ns) {
             return None;
         }
@@ -38,19 +39,17 @@ impl Designer {
         let delay_s = latency_ns * 1e-9 + self.base.plant.actuation_delay.seconds();
         let delay_s = if delay_s <= period_s / 2.0 { 0.0 } else { delay_s };
         let key = (rate_hz.to_bits(), delay_s.to_bits());
-        let search = || with_links!(self.base.links(), search::<N>(&self.base, period_s, delay_s, self.room));
+        let search = || with_links!(self.base.links(), best_gains::<N>(&self.base, period_s, delay_s, self.room));
         // The scenario was built when the study began, so nothing is hidden by the second `ok`.
-        *self.found.borrow_mut().entry(key).or_insert_with(|| search().ok().flatten())
+        self.found.borrow_mut().entry(key).or_insert_with(|| search().ok().flatten()).clone()
     }
 
-    /// The scenario with the gains of a certificate.
-    #[must_use]
-    pub fn with_gains(scenario: &Scenario, certificate: &Certificate) -> Scenario {
-        let mut scenario = scenario.clone();
-        let gains = &mut scenario.controller.gains;
-        (gains.beta, gains.k2, gains.k3) = (certificate.beta, certificate.k2, certificate.k3);
-        (gains.c1, gains.level, gains.k_t) = (Some(certificate.c1), certificate.level, None);
-        scenario
+    /// The scenario with the gains that were found for one that differs from it in its loop alone.
+    ///
+    /// # Errors
+    /// If the scenario refuses them.
+    pub fn with_gains(scenario: &Scenario, found: &Remedy) -> Result<Scenario, ScenarioError> {
+        scenario.with_sets(&found.settings)
     }
 
     /// The scenario to measure at a rate: as it is if it is stable by \[11] without delay and with one of half a period,
@@ -65,7 +64,7 @@ impl Designer {
             return Ok(scenario.clone());
         }
         let found = self.smallest(scenario.loop_.rate.0, 0.0);
-        Ok(found.map_or_else(|| scenario.clone(), |certificate| Self::with_gains(scenario, &certificate)))
+        found.map_or_else(|| Ok(scenario.clone()), |found| Self::with_gains(scenario, &found))
     }
 }
 
@@ -93,17 +92,6 @@ fn certificate<const N: usize>(scenario: &Scenario) -> Result<Certificate, Scena
     system::certificate_of::<N>(scenario, scenario.controller.law)
 }
 
-fn search<const N: usize>(
-    scenario: &Scenario,
-    period_s: f64,
-    delay_s: f64,
-    room: f64,
-) -> Result<Option<Certificate>, ScenarioError> {
-    let assumptions = system::assumptions::<N>(scenario)?;
-    let start = StartError::of(&assumptions.nominal, &system::start::<N>(scenario)?);
-    Ok(smallest_w(scenario.controller.law, &assumptions.envelope(), Some(&start), period_s, delay_s, room))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -115,26 +103,32 @@ mod tests {
     }
 
     #[test]
-    fn a_later_torque_never_allows_a_smaller_w_and_below_half_a_period_the_hold_alone_counts() {
+    fn a_later_torque_never_proves_a_smaller_error_and_below_half_a_period_the_hold_alone_counts() {
         let designer = designer();
         let norms: Vec<f64> = [0.0, 100e3, 499e3, 700e3, 900e3]
-            .map(|latency_ns| designer.smallest(1e3, latency_ns).map_or(f64::INFINITY, |c| c.w_norm))
+            .map(|latency_ns| {
+                designer.smallest(1e3, latency_ns).map_or(f64::INFINITY, |found| found.certificate.ultimate_e)
+            })
             .to_vec();
         assert!(norms[0] > 0.0 && norms[0].is_finite(), "{norms:?}");
         assert_eq!((norms[0].to_bits(), norms[1].to_bits()), (norms[1].to_bits(), norms[2].to_bits()));
         assert!(norms[2] < norms[3] && norms[3] <= norms[4], "{norms:?}");
-        assert!(designer.smallest(5e3, 50e3).unwrap().w_norm < norms[0], "a faster loop may be stiffer");
+        assert!(
+            designer.smallest(5e3, 50e3).unwrap().certificate.ultimate_e < norms[0],
+            "a faster loop may be stiffer"
+        );
         assert!(designer.smallest(1e3, 1.8e19).is_none(), "a torque that never came");
     }
 
     #[test]
     fn the_scenario_with_the_found_gains_has_the_certificate_that_was_found() {
         let found = designer().smallest(2e3, 300e3).unwrap();
-        let mut scenario = Designer::with_gains(&Scenario::default(), &found);
+        let mut scenario = Designer::with_gains(&Scenario::default(), &found).unwrap();
         scenario.loop_.rate = Hertz(2e3);
         let again = system::certificate_of::<3>(&scenario, LawKind::Robust).unwrap();
         assert!(again.is_certified());
-        for (a, b) in [(again.w_norm, found.w_norm), (again.k_t, found.k_t)] {
+        let found = found.certificate;
+        for (a, b) in [(again.ultimate_e, found.ultimate_e), (again.k_t, found.k_t)] {
             assert!((a / b - 1.0).abs() < 1e-9, "{a} {b}");
         }
         let used = budget_used(&scenario, 300e3).unwrap().unwrap();

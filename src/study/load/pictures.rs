@@ -35,9 +35,9 @@ pub fn maps(report: &Report) -> Figure {
         ),
         panel(
             rows,
-            "(d) the smallest ‖W‖ that the latency allows",
-            |row| row.w_norm,
-            |row| row.w_norm.map_or("none".to_owned(), short),
+            "(d) the smallest proven |e| that the latency allows (rad)",
+            |row| row.e_proven_rad,
+            |row| row.e_proven_rad.map_or("none".to_owned(), short),
         ),
     ];
     Figure { title: "Which setting for this machine".to_owned(), panels, width_px: WIDTH_PX, panel_height_px: 0 }

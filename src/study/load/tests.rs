@@ -108,7 +108,7 @@ fn runs_add_up_and_missed_ticks_count_over_all_that_were_due() {
     // 9 % of all ticks are slow: the 99 % quantile is theirs, though one run of two has none of them.
     assert_eq!((trip.p50, trip.max), (Some(1_000.0), Some(900_000.0)));
     assert!(trip.p99.unwrap() > 890_000.0);
-    assert_eq!((row.latency, row.cpu, row.w_norm), (None, None, None), "no block, no reading: no figure");
+    assert_eq!((row.latency, row.cpu, row.e_proven_rad), (None, None, None), "no block, no reading: no figure");
 }
 
 const LIMITS: Limits = Limits { missed_max: 0.01, cpu_max: 1.5 };
@@ -127,9 +127,9 @@ fn row(rate_hz: f64, wakeup: &str, load: Kind, latency_us: f64, w: Option<f64>, 
         missed_share: Some(missed),
         missed_by_host_share: Some(missed / 2.0),
         cpu: Some(cpu),
-        w_norm: w,
-        w_norm_lower: w,
-        w_norm_upper: w,
+        e_proven_rad: w,
+        e_proven_lower_rad: w,
+        e_proven_upper_rad: w,
         ..Row::default()
     }
 }
@@ -253,7 +253,7 @@ fn rates_that_allow_the_same_w_are_decided_by_cpu_and_overlapping_ones_are_no_cl
     let advice = advice_on(&rows);
     assert_eq!((chosen(&advice), advice.clear), (Some((1e3, "hybrid")), false));
     let mut rows = [rows[0].clone(), row(2e3, "hybrid", Kind::None, 10.0, Some(0.28), 0.0, 0.8)];
-    rows[1].w_norm_upper = Some(0.31);
+    rows[1].e_proven_upper_rad = Some(0.31);
     let advice = advice_on(&rows);
     assert_eq!((chosen(&advice), advice.clear), (Some((2e3, "hybrid")), false));
     assert!(advice.words.contains("no clear winner"), "{}", advice.words);

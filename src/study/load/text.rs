@@ -39,7 +39,7 @@ pub fn csv(report: &Report) -> String {
     csv.push_str(",overruns,cpu");
     let roles = roles(&report.rows);
     roles.iter().for_each(|role| csv.push_str(&format!(",cpu_{role}")));
-    csv.push_str(",w_norm,w_norm_lower,w_norm_upper,k_t,budget_used\n");
+    csv.push_str(",e_proven_rad,e_proven_lower_rad,e_proven_upper_rad,k_t,budget_used\n");
     for row in &report.rows {
         let status = format!("\"{}\"", status(row).replace('"', "\"\""));
         let _ = write!(csv, "{},{},{}", row.rate_hz, row.wakeup, row.privileges.word());
@@ -65,7 +65,7 @@ pub fn csv(report: &Report) -> String {
         let _ = write!(csv, ",{}", row.overruns);
         cell(&mut csv, row.cpu);
         roles.iter().for_each(|role| cell(&mut csv, row.cpu_by_role.get(*role).copied()));
-        for value in [row.w_norm, row.w_norm_lower, row.w_norm_upper, row.k_t, row.budget_used] {
+        for value in [row.e_proven_rad, row.e_proven_lower_rad, row.e_proven_upper_rad, row.k_t, row.budget_used] {
             cell(&mut csv, value);
         }
         csv.push('\n');
@@ -117,7 +117,7 @@ pub fn headings(report: &Report) -> Vec<String> {
     headings.push("deadline → torque p50 / p99 / p99.9 / max".to_owned());
     headings.push(format!("that {quantile} with unanswered ticks, 95 %"));
     headings.extend(["floor p99", "missed", "by host", "causes", "overruns"].map(str::to_owned));
-    headings.extend(["CPU", "‖W‖", "[11] used"].map(str::to_owned));
+    headings.extend(["CPU", "proven |e|, rad", "[11] used"].map(str::to_owned));
     headings
 }
 
@@ -157,14 +157,15 @@ pub fn cells(row: &Row) -> Vec<String> {
         by_cause.join(", "),
         row.overruns.to_string(),
         percent(row.cpu),
-        number(row.w_norm, 4),
+        number(row.e_proven_rad, 4),
         percent(row.budget_used),
     ]);
     cells
 }
 
 /// The names of the columns of [`setting_cells`].
-pub const SETTING_HEADINGS: [&str; 8] = ["rate", "mode", "worst load", "latency", "missed", "CPU", "‖W‖", "against it"];
+pub const SETTING_HEADINGS: [&str; 8] =
+    ["rate", "mode", "worst load", "latency", "missed", "CPU", "proven |e|, rad", "against it"];
 
 /// A setting over all loads as people see it.
 #[must_use]
@@ -177,7 +178,7 @@ pub fn setting_cells(report: &Report, setting: &Setting) -> Vec<String> {
         time(row.and_then(|row| row.latency).map(|latency| latency.value_ns)),
         percent(Some(setting.missed_share)),
         percent(setting.cpu),
-        setting.w_norm.map_or("—".to_owned(), |w| format!("{w:.4}")),
+        setting.e_proven_rad.map_or("—".to_owned(), |w| format!("{w:.4}")),
         if setting.against.is_empty() { "nothing".to_owned() } else { setting.against.join("; ") },
     ]
 }
