@@ -13,6 +13,7 @@ use std::thread::JoinHandle;
 
 use clap::ValueEnum;
 use loopbound_shared::clock;
+use loopbound_shared::spawn;
 use serde::{Deserialize, Serialize};
 
 /// Words of memory that a streaming thread goes through: 32 MiB, more than the caches that a core has for itself.
@@ -119,7 +120,7 @@ impl Background {
                     }
                 }
             };
-            background.threads.push(std::thread::Builder::new().name("background".to_owned()).spawn(run)?);
+            background.threads.push(spawn::thread("background", run)?);
         }
         Ok(background)
     }

@@ -13,6 +13,7 @@ use loopbound_monitor::live::{Address, Origin};
 use loopbound_shared::clock::{NS_PER_S, now_ns, sleep_ns};
 use loopbound_shared::group::sweep_if_dead;
 use loopbound_shared::say;
+use loopbound_shared::spawn;
 use rustix::process::{Pid, Signal, getpid, kill_process};
 use rustix::termios::{OptionalActions, Termios, tcgetattr, tcsetattr};
 
@@ -41,7 +42,7 @@ impl Guest {
     pub fn view(group: &str) -> anyhow::Result<Self> {
         anyhow::ensure!(say::to_terminal(), Failure::usage("--tui needs a terminal"));
         let before = tcgetattr(say::screen()).ok();
-        let view = command(group, VIEW_ID)?.arg("--tui").spawn().context("the live view")?;
+        let view = spawn::process(command(group, VIEW_ID)?.arg("--tui")).context("the live view")?;
         Self::wait_for(group, view, move |code| {
             if code == Some(i32::from(Exit::Interrupted.code())) {
                 let _ = kill_process(getpid(), Signal::INT);
@@ -59,7 +60,8 @@ impl Guest {
     pub fn server(group: &str, address: &Address, origins: &[Origin], quiet: bool) -> anyhow::Result<Self> {
         // Better no run than one that can't be looked at as was asked.
         address.probe().map_err(|e| Failure::usage(e.to_string()))?;
-        let server = command(group, SERVER_ID)?
+        let mut server = command(group, SERVER_ID)?;
+        server
             .args(["--foxglove", &address.to_string()])
             // Its errors are said in any case.
             .args(quiet.then_some("--quiet"))
@@ -67,10 +69,8 @@ impl Guest {
             // The terminal's Ctrl-C is the launcher's; this process ends with the group.
             .process_group(0)
             .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .spawn()
-            .context("the server for Foxglove")?;
-        Self::wait_for(group, server, |_| ())
+            .stdout(Stdio::null());
+        Self::wait_for(group, spawn::process(&mut server).context("the server for Foxglove")?, |_| ())
     }
 
     fn wait_for(
@@ -80,7 +80,7 @@ impl Guest {
     ) -> anyhow::Result<Self> {
         let pid = i32::try_from(child.id()).ok().and_then(Pid::from_raw);
         let wait = move || then(child.wait().ok().and_then(|status| status.code()));
-        let waiting = std::thread::Builder::new().name("guest".to_owned()).spawn(wait)?;
+        let waiting = spawn::thread("guest", wait)?;
         Ok(Self { group: group.to_owned(), pid, waiting })
     }
 

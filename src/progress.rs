@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use loopbound_shared::say;
+use loopbound_shared::spawn;
 
 /// Between two looks at how far it is.
 const LOOK: Duration = Duration::from_millis(100);
@@ -53,7 +54,7 @@ impl Progress {
         let (notes, heard) = sync_channel(WAITING_MAX);
         let (done, finished) = sync_channel(1);
         let theirs = Arc::clone(&shared);
-        std::thread::Builder::new().name("progress".to_owned()).spawn(move || {
+        spawn::thread("progress", move || {
             speak(&bar, &theirs, &heard);
             // Nobody may be waiting any more.
             let _ = done.try_send(());

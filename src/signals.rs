@@ -11,6 +11,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::SeqCst};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use crate::exit::Exit;
+use loopbound_shared::spawn;
 
 /// The launcher's view: which signal asked it to stop.
 #[derive(Clone, Debug, Default)]
@@ -26,8 +27,12 @@ impl Stop {
     pub fn install() -> io::Result<Self> {
         let stop = Self::default();
         let interrupted = Arc::clone(&stop.signal);
-        ctrlc::set_handler(move || interrupted.store(usize::try_from(SIGINT).unwrap_or(0), SeqCst))
-            .map_err(io::Error::other)?;
+        ctrlc::set_handler(move || interrupted.store(usize::try_from(SIGINT).unwrap_or(0), SeqCst)).map_err(
+            |error| match error {
+                ctrlc::Error::System(error) => spawn::with_remedy(error),
+                other => io::Error::other(other),
+            },
+        )?;
         for signal in [SIGTERM, SIGHUP] {
             let number = usize::try_from(signal).unwrap_or(0);
             signal_hook::flag::register_usize(signal, Arc::clone(&stop.signal), number)?;

@@ -23,6 +23,7 @@ use loopbound_model::chain::LINKS_MAX;
 use loopbound_model::law::LawKind;
 use loopbound_monitor::chart::{Figure, Theme, to_png, to_svg};
 use loopbound_monitor::folder::Manifest;
+use loopbound_shared::spawn;
 
 use crate::exit::{Exit, Failure};
 
@@ -179,15 +180,11 @@ pub fn on_all_cores<T: Sync, R: Send>(items: &[T], work: impl Fn(&T) -> R + Sync
     let threads = std::thread::available_parallelism().map_or(1, usize::from).min(items.len().max(1));
     let next = AtomicUsize::new(0);
     let done = Mutex::new(Vec::with_capacity(items.len()));
-    std::thread::scope(|scope| {
-        for _ in 0..threads {
-            scope.spawn(|| {
-                while let Some((at, item)) = take(&next, items) {
-                    let result = work(item);
-                    // Nobody panics with the lock held: pushing is all that is done under it.
-                    done.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push((at, result));
-                }
-            });
+    spawn::on_threads(threads, || {
+        while let Some((at, item)) = take(&next, items) {
+            let result = work(item);
+            // Nobody panics with the lock held: pushing is all that is done under it.
+            done.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push((at, result));
         }
     });
     let mut results = done.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);

@@ -29,7 +29,7 @@ use loopbound_scenario::{Mode, Restart, Role, Scenario};
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::{Bell, ControlBlock};
 use loopbound_shared::event::{self, CommandKind, Phase, Refusal, ReplyKind};
-use loopbound_shared::group::Group;
+use loopbound_shared::group::{Group, room};
 use loopbound_shared::ports::{CommandClient, Node, Subscriber};
 use loopbound_shared::realtime::wait_any_end;
 use loopbound_shared::sample::{Announce, Command, Reply, State, TickRecord, Torque};
@@ -230,6 +230,10 @@ impl<'a> Supervisor<'a> {
     /// Starts a process, and enters it in the list of those who may speak in this run.
     fn start_child(&self, process: Process, restarts: u32) -> anyhow::Result<Child> {
         let (role, id) = (process.role, process.id);
+        // It could not even say so: its words go to a file there.
+        if self.active != 0 {
+            room::require(room::NEWCOMER).with_context(|| format!("{} can't be started", process.name()))?;
+        }
         let child = Child::start(process, &self.group, restarts)?;
         self.block.writers().enlist(role.into(), id, child.pid);
         Ok(child)

@@ -52,6 +52,7 @@ const TRANSPORT_ALLOWED: [&str; 7] = [
     "tests/groups/strangers.rs",
 ];
 const CLOCK: &str = "shared/src/clock.rs";
+const SPAWN: &str = "shared/src/spawn.rs";
 const SAY: &str = "shared/src/say.rs";
 
 const LINES_MAX: usize = 600;
@@ -180,6 +181,13 @@ fn offenders(words: &[&str], allowed: &[&str]) -> Vec<String> {
 
 const NONE: Vec<String> = Vec::new();
 
+/// The code of the programs, without their tests.
+fn programs() -> impl Iterator<Item = (String, String)> {
+    let of_a_program = |name: &String| name.split('/').any(|part| part == "src") && !name.ends_with("tests.rs");
+    let sources = all_sources().into_iter().filter(move |(name, _)| of_a_program(name));
+    sources.map(|(name, text)| (name, code_of(text.split("\n#[cfg(test)]").next().unwrap_or_default())))
+}
+
 #[test]
 fn a_member_stands_on_the_layers_below_it_alone() {
     for (member, below) in LAYERS {
@@ -268,6 +276,14 @@ fn one_module_writes_to_the_standard_streams() {
     // What a test prints is kept by the harness, and shown if it fails.
     let found: Vec<String> = offenders(&words, &[SAY]).into_iter().filter(|name| !name.starts_with("tests/")).collect();
     assert_eq!(found, NONE);
+}
+
+#[test]
+fn one_module_starts_threads_and_processes() {
+    let words = ["thread::spawn", "scope.spawn", "spawn_scoped", "Builder::new", "spawn()"];
+    let found: Vec<String> =
+        programs().filter(|(_, code)| words.iter().any(|word| has_word(code, word))).map(|(name, _)| name).collect();
+    assert_eq!(found, [SPAWN]);
 }
 
 #[test]

@@ -19,6 +19,7 @@ use hdrhistogram::Histogram;
 
 use loopbound_shared::run_id::RunId;
 use loopbound_shared::sample::{Announce, TickRecord};
+use loopbound_shared::spawn;
 
 use crate::event::Event;
 use crate::folder::{Results, known};
@@ -89,7 +90,7 @@ impl Recorder {
         let lost = Lost::default();
         let of_writer = Arc::clone(&lost);
         let write = move || writer::write(&entries, place, about, trace_s, &of_writer);
-        let writer = std::thread::Builder::new().name("recorder".to_owned()).spawn(write)?;
+        let writer = spawn::thread("recorder", write)?;
         let dropped = Dropped::default();
         Ok(Self { queue: Some(queue), writer: Some(writer), lossless, dropped, lost, results: None })
     }

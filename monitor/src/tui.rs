@@ -21,6 +21,7 @@ use loopbound_shared::event::LiveFault;
 use loopbound_shared::group::Group;
 use loopbound_shared::role::{Joined, RoleError};
 use loopbound_shared::sample::{TickRecord, record_flag};
+use loopbound_shared::spawn;
 use loopbound_shared::topics::Topic;
 use serde_json::{Value, json};
 
@@ -153,7 +154,7 @@ fn command<const N: usize>(
         // The view may be gone by now.
         let _ = sender.send(answer);
     };
-    if let Err(error) = std::thread::Builder::new().name("command".to_owned()).spawn(ask) {
+    if let Err(error) = spawn::thread("command", ask) {
         model.answer = format!("no {what}: {error}");
     }
     answers

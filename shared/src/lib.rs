@@ -19,6 +19,7 @@ pub mod runaway;
 pub mod sample;
 pub mod say;
 pub mod setpoints;
+pub mod spawn;
 pub mod topics;
 pub mod wakeup;
 pub mod writers;

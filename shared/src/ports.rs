@@ -18,7 +18,7 @@ use thiserror::Error;
 use crate::clock;
 use crate::doorbell::ControlBlock;
 use crate::event::{MessageKind, Refusal, ReplyKind, Role};
-use crate::group::{Group, room};
+use crate::group::{Group, room, room::Need};
 use crate::run_id::RunId;
 use crate::sample::{Announce, Command, Message, Origin, Reply};
 use crate::topics::{NODES_MAX, PUBLISHERS_MAX, SUBSCRIBERS_MAX, Topic};
@@ -83,6 +83,8 @@ impl Run {
 
 /// What a port takes besides its samples, and the pages of the transport's own books, bytes: more than was ever seen.
 const PORT_BYTES: u64 = 512 << 10;
+/// The same of files: the node or port with its service.
+const PORT_FILES: u64 = 8;
 
 /// How long a port waits for the supervisor to clean up after the dead when all places are taken, and between two looks.
 const ROOM_WITHIN_NS: u64 = 3_000_000_000;
@@ -118,7 +120,7 @@ impl Node {
         set_log_level(LogLevel::Fatal);
         let name = group.name();
         let config = configuration(group)?;
-        room::require(PORT_BYTES).map_err(|e| error(name, "joining", e))?;
+        room::require(Need { bytes: PORT_BYTES, files: PORT_FILES }).map_err(|e| error(name, "joining", e))?;
         let node = NodeBuilder::new()
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
@@ -130,7 +132,8 @@ impl Node {
 
     /// Makes a port whose samples take `bytes`: not where there is no room for it, and with all its pages.
     fn make<P>(&self, what: &str, bytes: usize, port: impl FnOnce() -> Result<P, PortError>) -> Result<P, PortError> {
-        room::require(PORT_BYTES + bytes as u64).map_err(|e| error(&self.group, what, e))?;
+        room::require(Need { bytes: PORT_BYTES + bytes as u64, files: PORT_FILES })
+            .map_err(|e| error(&self.group, what, e))?;
         let port = port()?;
         room::take(&self.prefix).map_err(|e| error(&self.group, what, e))?;
         Ok(port)

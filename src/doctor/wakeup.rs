@@ -4,6 +4,7 @@ use std::process::Command;
 
 use loopbound_shared::clock::{now_ns, sleep_until_ns};
 use loopbound_shared::realtime::set_priority;
+use loopbound_shared::spawn;
 
 use super::{Finding, Status};
 
@@ -30,7 +31,7 @@ impl Lateness {
     /// granted.
     #[must_use]
     pub fn own() -> Self {
-        std::thread::spawn(Self::measure).join().unwrap_or_default()
+        spawn::thread("wake-up", Self::measure).ok().and_then(|thread| thread.join().ok()).unwrap_or_default()
     }
 
     fn measure() -> Self {

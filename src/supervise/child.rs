@@ -9,9 +9,10 @@ use anyhow::Context as _;
 use loopbound_model::quote;
 use loopbound_scenario::input;
 use loopbound_shared::clock;
-use loopbound_shared::group::Group;
+use loopbound_shared::group::{Group, room};
 use loopbound_shared::realtime::{ProcessHandle, Signal};
 use loopbound_shared::sample::Announce;
+use loopbound_shared::spawn;
 
 use crate::exit::Failure;
 use crate::processes::Process;
@@ -53,7 +54,7 @@ impl Child {
         let log = format!("{}.log", process.file_stem());
         let (file, log) = (group.append(&log)?, group.file(&log));
         let mut command = process.command(group, file).context("starting a process")?;
-        let child = command.spawn().map_err(|e| match &process.exe {
+        let child = spawn::process(&mut command).map_err(|e| match &process.exe {
             Some(exe) => Failure::usage(format!("{}: {} can't be started: {e}", process.name(), exe.display())).into(),
             None => anyhow::Error::new(e).context(format!("{} can't be started", process.name())),
         })?;
@@ -155,6 +156,11 @@ impl Child {
         let lines: Vec<&str> = text.lines().filter(|line| !line.trim().is_empty()).collect();
         let from = lines.len().saturating_sub(QUOTED_LINES_MAX);
         lines[from..].iter().map(|line| quote::lines(line.strip_prefix("loopbound: ").unwrap_or(line))).collect()
+    }
+
+    /// The last line that it said; where it could not even do that, why.
+    pub(super) fn last_words(&self) -> Option<String> {
+        self.said().pop().or_else(|| room::require(room::NEWCOMER).err().map(|why| why.to_string()))
     }
 
     /// Its words are of no use any more.

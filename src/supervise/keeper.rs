@@ -4,6 +4,7 @@ use std::process::{Child, Command, Stdio};
 
 use loopbound_shared::clock::{NS_PER_S, now_ns, sleep_ns};
 use loopbound_shared::group::Group;
+use loopbound_shared::spawn;
 
 /// It ends within less: what ignores it by then is the kernel's affair.
 const LEAVE_NS: u64 = 8 * NS_PER_S;
@@ -25,7 +26,7 @@ impl Keeper {
         command.args(["keeper", "--group", group.name(), "--run", &run, "--parent", &parent]);
         // Its standard input ends when this process does. The terminal's signals are the launcher's.
         command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null()).process_group(0);
-        Ok(Self { child: command.spawn()?, started_ns: now_ns() })
+        Ok(Self { child: spawn::process(&mut command)?, started_ns: now_ns() })
     }
 
     /// Starts another one in place of one that was killed; not all the time, if it can't live.

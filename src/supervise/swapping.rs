@@ -14,8 +14,10 @@ use loopbound_shared::event::{CommandKind, Refusal, ReplyKind};
 use loopbound_shared::sample::{Announce, Command, Reply, TickRecord};
 
 use super::Supervisor;
+use super::child::Child;
 use super::control::{Answer, Client, Request, SwapReport, SwapRequest};
 use super::starting::READY_NS;
+use crate::exit::Exit;
 use crate::processes::Process;
 
 /// Latencies before and after are those of so long, and misses count for less.
@@ -76,13 +78,17 @@ impl Supervisor<'_> {
 
     /// A refusal before the plant was asked.
     fn at_once(&self, reason: Refusal, to: u32) -> Answer {
+        self.refused(reason.name().to_owned(), to)
+    }
+
+    fn refused(&self, reason: String, to: u32) -> Answer {
         Answer::Report(Box::new(SwapReport {
             group: self.group.name().to_owned(),
             from: self.active,
             to,
             tick: self.tick(),
             result: "refused".to_owned(),
-            reason: Some(reason.name().to_owned()),
+            reason: Some(reason),
             ..SwapReport::default()
         }))
     }
@@ -129,7 +135,10 @@ impl Supervisor<'_> {
             };
             match self.start_child(process, 0) {
                 Ok(child) => self.children.push(child),
-                Err(why) => return client.answer(&Answer::Usage(format!("{why:#}"))),
+                Err(why) if Exit::of(&why) == Exit::Usage => {
+                    return client.answer(&Answer::Usage(format!("{why:#}")));
+                }
+                Err(why) => return client.answer(&self.refused(format!("{why:#}"), to)),
             }
         }
         let account = match Account::new(self.scenario) {
@@ -192,7 +201,7 @@ impl Supervisor<'_> {
         let to = swap.report.to;
         let Some(child) = self.controllers().find(|c| c.process.id == to).filter(|c| c.lives()) else {
             let child = self.controllers().find(|c| c.process.id == to);
-            let said = child.and_then(|c| c.said().pop()).map_or_else(String::new, |said| format!(": {said}"));
+            let said = child.and_then(Child::last_words).map_or_else(String::new, |said| format!(": {said}"));
             return self.conclude(swap, "refused", Some(format!("the new process ended before it was ready{said}")));
         };
         if !child.member {

@@ -44,6 +44,27 @@ fn a_shared_memory_of_any_size_holds_the_group_or_is_named_with_the_remedy() {
 }
 
 #[test]
+fn a_shared_memory_with_few_places_for_files_holds_the_group_or_is_named() {
+    let case = Case::new("few-inodes");
+    let mut held = 0;
+    for places in [3, 20, 60, 100, 150, 190, 210, 400] {
+        let line = format!(
+            "mount -o remount,nr_inodes={places} /dev/shm; \"$LB\" run --mode lockstep --duration 60ms -q --group few; \
+             code=$?; ls /dev/shm; exit $code"
+        );
+        let Some(ended) = with_shared_memory(&case, 40_960, &line) else { return };
+        assert_eq!(ended.out, "", "nothing is left with {places}: {ended:?}");
+        if ended.code == Some(0) {
+            held += 1;
+            continue;
+        }
+        assert_eq!((ended.code, held), (Some(70), 0), "{places}: {ended:?}");
+        assert!(ended.err.contains("/dev/shm has no room") && ended.err.contains("nr_inodes"), "{places}: {ended:?}");
+    }
+    assert!(held >= 1, "the larger ones are large enough");
+}
+
+#[test]
 fn a_shared_memory_that_fills_up_under_a_run_ends_nobody_and_lets_nobody_in() {
     let case = Case::new("full-shm");
     let lines = "\
@@ -51,11 +72,17 @@ fn a_shared_memory_that_fills_up_under_a_run_ends_nobody_and_lets_nobody_in() {
 while ! grep -q active /dev/shm/loopbound-*/full/processes.json 2>/dev/null; do sleep 0.05; done
 dd if=/dev/zero of=/dev/shm/filler bs=4k 2>/dev/null
 \"$LB\" monitor --group full --duration 100ms; echo monitor $?
+\"$LB\" swap --group full --law ctc >swap.out; echo swap $?
 \"$LB\" run --mode lockstep --duration 60ms --group second; echo second $?
 wait $run; echo run $?";
     let Some(ended) = with_shared_memory(&case, 40_960, lines) else { return };
     assert!(ended.out.contains("monitor 70") && ended.out.contains("second 70"), "{ended:?}");
     assert_eq!(ended.err.matches("/dev/shm has no room").count(), 2, "{ended:?}");
+    let swap = std::fs::read_to_string(case.work.path().join("swap.out")).expect("the swap's report");
+    assert!(ended.out.contains("swap 4") && swap.contains("refused"), "{ended:?}");
+    // The report is broken into lines.
+    let words: String = swap.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(words.contains("/dev/shm has no room") && words.contains("--shm-size"), "{words}");
     let text = std::fs::read_to_string(case.work.path().join("run.json")).expect("the document");
     let document: serde_json::Value = serde_json::from_str(&text).expect("one JSON document");
     assert_eq!(document["supervision"]["end"], "done", "{}", document["supervision"]);
@@ -140,4 +167,36 @@ fn from_another_pid_namespace_a_running_group_is_unknown_and_not_dead() {
     }
     running.wait();
     case.assert_nothing_left();
+}
+
+#[test]
+fn where_no_further_process_may_be_started_the_limit_is_named_and_nothing_is_left() {
+    let case = Case::new("few-processes");
+    // A user of its own, since the limit counts all of a user's processes, and root has none.
+    let limited = |most: u32, arguments: &[&str]| {
+        let plain = case.command(arguments);
+        let mut command = Command::new("setpriv");
+        command.args(["--reuid=65531", "--regid=65531", "--clear-groups", "prlimit", &format!("--nproc={most}")]);
+        command.arg(plain.get_program()).args(plain.get_args()).current_dir("/");
+        command.env_remove("LOOPBOUND_RUNTIME_DIR");
+        command
+    };
+    if !limited(64, &["ps"]).output().is_ok_and(|probe| probe.status.success()) {
+        not_tested("a limit on processes", "only root can become another user, who has to be able to run the program");
+        return;
+    }
+    let run = |most| limited(most, &["run", "--mode", "lockstep", "--duration", "60ms", "-q", "--group", &case.group]);
+    for most in 1..=12 {
+        let ended = case.start_command(run(most)).wait();
+        if ended.code != Some(0) {
+            assert!(ended.code == Some(70) && most < 10, "{most}: {ended:?}");
+            assert!(ended.err.contains("ulimit -u") && ended.err.contains("--pids-limit"), "{most}: {ended:?}");
+            assert_eq!(ended.err.lines().count(), 1, "{most}: {ended:?}");
+        }
+        let left = limited(64, &["ps"]).output().expect("ps");
+        assert_eq!(String::from_utf8_lossy(&left.stdout), "no group is running\n", "{most}");
+    }
+    // What needs no thread but its own does without.
+    let examined = case.start_command(limited(1, &["doctor"])).wait();
+    assert!(examined.code == Some(0) && examined.err.is_empty(), "{examined:?}");
 }

@@ -11,6 +11,7 @@ use std::thread::JoinHandle;
 
 use loopbound_shared::clock::{NS_PER_S, now_ns, sleep_ns};
 use loopbound_shared::say;
+use loopbound_shared::spawn;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 use rustix::rand::{GetRandomFlags, getrandom};
@@ -60,7 +61,7 @@ impl Relay {
         let port = listener.local_addr()?.port();
         let (stop, stopped) = UnixStream::pair()?;
         let desk = Desk { stopped, server, further, connections: Vec::new(), deaf_until_ns: 0, told: false };
-        let thread = std::thread::Builder::new().name("relay".to_owned()).spawn(move || desk.serve(listener))?;
+        let thread = spawn::thread("relay", move || desk.serve(listener))?;
         Ok(Self { port, stop, thread })
     }
 

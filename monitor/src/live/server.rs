@@ -11,6 +11,7 @@ use foxglove::{
 };
 use loopbound_shared::clock::{NS_PER_S, sleep_ns};
 use loopbound_shared::sample::TickRecord;
+use loopbound_shared::spawn;
 
 use super::relay::{Relay, hidden_address, hidden_host};
 use super::stretch::Stretches;
@@ -77,6 +78,9 @@ impl Live {
         let [ticks, events, scene] = Channel::SHOWN.map(|channel| open(&context, channel));
         let (ticks, events, scene) = (ticks.map_err(refused)?, events.map_err(refused)?, scene.map_err(refused)?);
         let hidden = hidden_host();
+        // Its runtime panics where there is none to be had: one for each core, and one that serves as they need it.
+        let threads = std::thread::available_parallelism().map_or(1, usize::from) + 2;
+        spawn::require_threads(threads).map_err(|error| LiveError::Server(error.to_string()))?;
         let server = WebSocketServer::new()
             .context(&context)
             .name(format!("loopbound {}", about.group))
@@ -154,7 +158,7 @@ impl Live {
             // Nobody waits any more if it took too long.
             let _ = sender.send(());
         };
-        if std::thread::Builder::new().name("farewell".to_owned()).spawn(wait).is_ok() {
+        if spawn::thread("farewell", wait).is_ok() {
             let _ = ended.recv_timeout(FAREWELL);
         }
         self.relay.stop();

@@ -18,42 +18,82 @@ const GROUP_BYTES: u64 = 25 << 20;
 /// What each further controller or monitor takes, bytes: 0.2 MB measured.
 const MEMBER_BYTES: u64 = 256 << 10;
 
+/// Files that a group of one controller has there: 126 seen.
+const GROUP_FILES: u64 = 140;
+/// Files of each further controller or monitor: 20 to 26 seen.
+const MEMBER_FILES: u64 = 26;
+/// What has to be free for whoever joins a running group: what it takes, and what its last port wants to find.
+pub const NEWCOMER: Need = Need { bytes: 1 << 20, files: MEMBER_FILES };
+
+/// How much of the shared memory somebody needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Need {
+    /// Bytes.
+    pub bytes: u64,
+    /// Files: a filesystem in memory has places for so many.
+    pub files: u64,
+}
+
 /// There is not enough shared memory.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
-#[error(
-    "{SHARED_MEMORY} has no room: {:.1} MB are needed and {:.1} MB of {:.1} MB are free; make it larger (a container: \
-     --shm-size=64m; else: mount -o remount,size=64m {SHARED_MEMORY}), or remove what other programs keep there",
-    megabytes(*.needed), megabytes(*.free), megabytes(*.size)
-)]
-pub struct NoRoom {
-    /// Bytes that are needed.
-    pub needed: u64,
-    /// Bytes that are free.
-    pub free: u64,
-    /// Bytes that there are in all.
-    pub size: u64,
+pub enum NoRoom {
+    /// Bytes are lacking.
+    #[error(
+        "{SHARED_MEMORY} has no room: {:.1} MB are needed and {:.1} MB of {:.1} MB are free; make it larger (a container: \
+         --shm-size=64m; else: mount -o remount,size=64m {SHARED_MEMORY}), or remove what other programs keep there",
+        megabytes(*.needed), megabytes(*.free), megabytes(*.size)
+    )]
+    Bytes {
+        /// Bytes that are needed.
+        needed: u64,
+        /// Bytes that are free.
+        free: u64,
+        /// Bytes that there are in all.
+        size: u64,
+    },
+    /// Places for files are lacking.
+    #[error(
+        "{SHARED_MEMORY} has no room: {needed} files are needed and there are places for {free} of {size}; allow more \
+         (mount -o remount,nr_inodes=10k {SHARED_MEMORY}), or remove what other programs keep there"
+    )]
+    Files {
+        /// Files that are needed.
+        needed: u64,
+        /// Places that are free.
+        free: u64,
+        /// Places that there are in all.
+        size: u64,
+    },
 }
 
 fn megabytes(bytes: u64) -> f64 {
     bytes as f64 * 1e-6
 }
 
-/// What a group takes, bytes.
+/// What a group takes.
 #[must_use]
-pub fn needed(controllers: u64, further_monitors: u64) -> u64 {
-    GROUP_BYTES + MEMBER_BYTES * (controllers.saturating_sub(1) + further_monitors)
+pub fn needed(controllers: u64, further_monitors: u64) -> Need {
+    let further = controllers.saturating_sub(1) + further_monitors;
+    Need { bytes: GROUP_BYTES + MEMBER_BYTES * further, files: GROUP_FILES + MEMBER_FILES * further }
 }
 
-/// Whether so many bytes of shared memory are free.
+/// Whether so much of the shared memory is free.
 ///
 /// # Errors
-/// If they are not.
-pub fn require(needed: u64) -> Result<(), NoRoom> {
+/// If it is not.
+pub fn require(need: Need) -> Result<(), NoRoom> {
     // What can't be asked is found out by whoever makes something there.
     let Ok(found) = statvfs(SHARED_MEMORY) else { return Ok(()) };
-    let (free, size) = (found.f_bavail * found.f_frsize, found.f_blocks * found.f_frsize);
+    let (free, size) = (found.f_bavail.saturating_mul(found.f_frsize), found.f_blocks.saturating_mul(found.f_frsize));
     // A size of nothing is no limit.
-    if size == 0 || free >= needed { Ok(()) } else { Err(NoRoom { needed, free, size }) }
+    if size != 0 && free < need.bytes {
+        return Err(NoRoom::Bytes { needed: need.bytes, free, size });
+    }
+    let (free, size) = (found.f_favail, found.f_files);
+    if size != 0 && free < need.files {
+        return Err(NoRoom::Files { needed: need.files, free, size });
+    }
+    Ok(())
 }
 
 /// Takes the pages of all objects whose names start with `prefix`.
@@ -78,7 +118,10 @@ pub(crate) fn take(prefix: &str) -> Result<(), NoRoom> {
     });
     match lacking.get() {
         0 => Ok(()),
-        needed => Err(require(needed).err().unwrap_or(NoRoom { needed, free: 0, size: 0 })),
+        needed => {
+            let found = require(Need { bytes: needed, files: 0 });
+            Err(found.err().unwrap_or(NoRoom::Bytes { needed, free: 0, size: 0 }))
+        }
     }
 }
 
@@ -94,10 +137,12 @@ mod tests {
 
     #[test]
     fn what_is_lacking_is_said_with_what_there_is_and_the_remedy() {
-        assert_eq!(require(0), Ok(()));
-        let error = require(u64::MAX).unwrap_err();
-        assert!(error.free <= error.size, "{error:?}");
-        let words = NoRoom { needed: needed(1, 0), free: 8_000_000, size: 8_388_608 }.to_string();
+        assert_eq!(require(Need { bytes: 0, files: 0 }), Ok(()));
+        let of_files = require(Need { bytes: 0, files: u64::MAX });
+        assert!(matches!(of_files, Ok(()) | Err(NoRoom::Files { .. })), "{of_files:?}");
+        let error = require(Need { bytes: u64::MAX, files: 0 }).unwrap_err();
+        assert!(matches!(error, NoRoom::Bytes { free, size, .. } if free <= size), "{error:?}");
+        let words = NoRoom::Bytes { needed: needed(1, 0).bytes, free: 8_000_000, size: 8_388_608 }.to_string();
         for part in ["26.2 MB", "8.0 MB of 8.4 MB", "--shm-size", "/dev/shm"] {
             assert!(words.contains(part), "{part}: {words}");
         }

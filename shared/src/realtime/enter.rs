@@ -11,6 +11,7 @@ use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use rustix::thread::{CapabilitySet, CpuSet, capabilities, sched_setaffinity, set_current_timer_slack};
 
 use super::{Outcome, Privileges, Step, system};
+use crate::spawn;
 
 /// Processor time, in µs, that a real-time thread may use without once sleeping; then `SIGXCPU` ends the process, and
 /// after twice that time `SIGKILL`. A loop within 90 % duty sleeps every period, so only a runaway meets it.
@@ -185,11 +186,11 @@ fn become_fifo(priority: u32) -> Result<u32, Errno> {
 /// Tries whether `SCHED_FIFO` would be granted, on a thread that ends at once, and at which priority (0 if refused).
 #[must_use]
 pub fn try_fifo(priority: u32) -> (Outcome, u32) {
-    let attempt = std::thread::spawn(move || become_fifo(priority)).join();
+    let attempt = spawn::thread("attempt", move || become_fifo(priority)).map(std::thread::JoinHandle::join);
     match attempt {
-        Ok(Ok(granted)) => (Outcome::Had, granted),
-        Ok(Err(errno)) => (outcome_of(Err(errno)), 0),
-        Err(_) => (outcome_of(Err(Errno::AGAIN)), 0),
+        Ok(Ok(Ok(granted))) => (Outcome::Had, granted),
+        Ok(Ok(Err(errno))) => (outcome_of(Err(errno)), 0),
+        _ => (outcome_of(Err(Errno::AGAIN)), 0),
     }
 }
 

@@ -15,6 +15,7 @@ use loopbound_scenario::{Nanos, Scenario};
 use loopbound_shared::clock;
 use loopbound_shared::group::file_of;
 use loopbound_shared::realtime::{ProcessHandle, Signal, Step};
+use loopbound_shared::spawn;
 use thiserror::Error;
 
 use super::case::{Case, Rights, Run};
@@ -113,7 +114,7 @@ impl Runner<'_> {
         command.arg("run").arg(file).arg("--out").arg(out).args(["--quiet", "--group", &group, "--parent", &own]);
         // A terminal's Ctrl-C reaches the study alone, which then ends the run.
         command.process_group(0).stdin(Stdio::null()).stdout(Stdio::null()).stderr(File::create(&said)?);
-        let mut launcher = Launcher(command.spawn()?);
+        let mut launcher = Launcher(spawn::process(&mut command)?);
         let give_up_ns = clock::now_ns() + run_ns + PATIENCE_NS;
         let mut watch = CpuWatch::new(roster);
         loop {
