@@ -240,18 +240,11 @@ impl Supervisor<'_> {
 
     fn look_at_asked(&mut self, mut swap: Swapping) -> Option<Swapping> {
         match self.status_of(&swap) {
-            Some((ReplyKind::Done, reply)) => {
-                let gate = &self.scenario.swap_gate;
-                let blend_ns = swap.request.blend_ns.unwrap_or(gate.blend.ns());
-                let watched_ns = gate.rollback_for.ns().max(COMPARED_NS).max(blend_ns);
-                swap.report.tick = reply.tick;
-                swap.stage = Stage::Watched(reply.tick + watched_ns.div_ceil(self.scenario.period_ns()) + 1);
-                Some(swap)
-            }
+            Some((ReplyKind::Done, reply)) => Some(self.watch_from(swap, reply.tick)),
             // A failover was faster than the gate: the new one is in charge, as was asked.
             Some((ReplyKind::Refused, reply)) if reply.reason == Refusal::AlreadyActive.code() && swap.started => {
-                swap.report.tick = reply.tick;
-                self.conclude(swap, "done", Some("a failover gave it authority before the gate did".to_owned()))
+                swap.report.reason = Some("a failover gave it authority before the gate did".to_owned());
+                Some(self.watch_from(swap, reply.tick))
             }
             Some((ReplyKind::Refused, reply)) => self.refuse(swap, "refused", &reply),
             Some((ReplyKind::RolledBack, reply)) => self.refuse(swap, "rolled back", &reply),
@@ -260,13 +253,24 @@ impl Supervisor<'_> {
         }
     }
 
+    /// The change is done, in this tick or, by a failover, before it.
+    fn watch_from(&self, mut swap: Swapping, tick: u64) -> Swapping {
+        let gate = &self.scenario.swap_gate;
+        let blend_ns = swap.request.blend_ns.unwrap_or(gate.blend.ns());
+        let watched_ns = gate.rollback_for.ns().max(COMPARED_NS).max(blend_ns);
+        swap.report.tick = tick;
+        swap.stage = Stage::Watched(tick + watched_ns.div_ceil(self.scenario.period_ns()) + 1);
+        swap
+    }
+
     fn look_at_watched(&mut self, mut swap: Swapping, until_tick: u64) -> Option<Swapping> {
         match self.status_of(&swap) {
             Some((ReplyKind::RolledBack, reply)) => self.refuse(swap, "rolled back", &reply),
             _ if self.tick() <= until_tick && !self.plant_ended() => Some(swap),
             _ => {
                 self.read_records(&mut swap, until_tick, READ_LAST_NS);
-                self.conclude(swap, "done", None)
+                let reason = swap.report.reason.take();
+                self.conclude(swap, "done", reason)
             }
         }
     }
@@ -328,7 +332,7 @@ struct Account {
 trait Judged {
     fn learn(&mut self, announce: &Announce);
     fn feed(&mut self, record: &TickRecord) -> Option<Row>;
-    fn swap_to(&self, id: u32) -> Option<&SwapSummary>;
+    fn swap_to(&self, id: u32, tick: u64) -> Option<&SwapSummary>;
 }
 
 impl<const N: usize> Judged for Tracker<N> {
@@ -343,9 +347,8 @@ impl<const N: usize> Judged for Tracker<N> {
         row
     }
 
-    fn swap_to(&self, id: u32) -> Option<&SwapSummary> {
-        // A failover may have been faster than the gate.
-        self.swaps().list().iter().rev().find(|swap| swap.to == id)
+    fn swap_to(&self, id: u32, tick: u64) -> Option<&SwapSummary> {
+        change_to(self.swaps().list(), id, tick)
     }
 }
 
@@ -384,7 +387,9 @@ impl Account {
     }
 
     fn complete(&self, report: &mut SwapReport, asked_ns: u64, period_ns: u64) {
-        if let Some(swap) = self.tracker.swap_to(report.to).filter(|swap| swap.result != "refused") {
+        let carried_out = report.result != "refused";
+        if let Some(swap) = self.tracker.swap_to(report.to, report.tick).filter(|_| carried_out) {
+            report.tick = swap.tick;
             (report.missed_ticks, report.delta_v) = (swap.missed_ticks, swap.delta_v);
             report.torque_step_nm.clone_from(&swap.torque_steps_nm);
             (report.torque_difference_nm, report.blended_ticks) = (swap.torque_difference_nm, swap.blended_ticks);
@@ -407,6 +412,13 @@ fn first_of(record: &TickRecord, to: u32) -> Option<(u64, u64)> {
     acts.then_some((record.tick, record.accepted_ns))
 }
 
+/// The change by which controller `id` came to be in charge in `tick`. A failover may have been faster than the gate: then
+/// the plant only knows that it is in charge by then. Later ones, there and back, are none of the swap.
+fn change_to(list: &[SwapSummary], id: u32, tick: u64) -> Option<&SwapSummary> {
+    let mut changes = list.iter().filter(|swap| swap.to == id && swap.result != "refused" && swap.tick <= tick);
+    changes.clone().find(|swap| swap.tick == tick).or_else(|| changes.next())
+}
+
 fn median(mut values: Vec<u64>) -> Option<u64> {
     values.sort_unstable();
     values.get(values.len() / 2).copied()
@@ -415,6 +427,17 @@ fn median(mut values: Vec<u64>) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_account_of_a_swap_is_of_the_change_that_it_made_or_of_the_failover_before_it() {
+        let change = |tick, to, result: &str| SwapSummary { tick, to, result: result.to_owned(), ..Default::default() };
+        let list = [change(5, 2, "refused"), change(7, 2, "done"), change(9, 1, "done"), change(11, 2, "done")];
+        let tick_of = |id, tick| change_to(&list, id, tick).map(|swap| swap.tick);
+        assert_eq!(tick_of(2, 7), Some(7), "not that of the failovers after it");
+        assert_eq!(tick_of(2, 11), Some(11));
+        assert_eq!(tick_of(2, 10), Some(7), "the plant was asked three ticks after the failover");
+        assert_eq!((tick_of(2, 5), tick_of(3, 20)), (None, None));
+    }
 
     #[test]
     fn the_median_of_nothing_is_nothing() {
