@@ -1,11 +1,12 @@
 //! `loopbound study`: many runs of one question, and what they say, as tables, pictures and sentences.
 //!
-//! Responsible for the command line, for the folder that takes the results and for the use of all cores. What is run and
+//! Responsible for the command line and for the use of all cores; [`folder`] takes the results. What is run and
 //! what is concluded belongs to the studies: [`paper`] and [`sweep`] in lockstep, [`load`] in real time.
 
 pub mod boundary;
 pub mod cases;
 pub mod figures;
+pub mod folder;
 pub mod load;
 pub mod measure;
 pub mod paper;
@@ -13,22 +14,16 @@ pub mod sweep;
 pub mod table;
 pub mod verdicts;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use anyhow::Context as _;
 use clap::{Args, Subcommand};
 use loopbound_model::chain::LINKS_MAX;
 use loopbound_model::law::LawKind;
-use loopbound_monitor::chart::{Figure, Theme, to_png, to_svg};
-use loopbound_monitor::folder::Manifest;
 use loopbound_shared::spawn;
 
 use crate::exit::{Exit, Failure};
-
-/// Pixels of a PNG for each px of its SVG: sharp on paper at the width of a page.
-const PNG_SCALE: f32 = 2.0;
 
 /// `loopbound study`.
 #[derive(Debug, Args)]
@@ -75,9 +70,9 @@ pub struct PaperArgs {
 /// `loopbound study delay` and `loopbound study rate`.
 #[derive(Debug, Args)]
 pub struct SweepArgs {
-    /// Folder for report.md, table.csv and the picture.
-    #[arg(long, value_name = "DIR", default_value = "study-boundary")]
-    pub out: PathBuf,
+    /// Folder for the report, the table and the picture; default study-delay or study-rate.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
     /// Fewer gains.
     #[arg(long)]
     pub quick: bool,
@@ -115,63 +110,6 @@ fn check_links(links: &[usize]) -> anyhow::Result<()> {
     match links.iter().find(|n| !(1..=LINKS_MAX).contains(*n)) {
         Some(n) => Err(Failure::usage(format!("--links: found {n}, allowed: 1 to {LINKS_MAX}")).into()),
         None => Ok(()),
-    }
-}
-
-/// A folder that takes the results of a study.
-#[derive(Clone, Debug)]
-pub struct Folder(PathBuf);
-
-impl Folder {
-    /// The folder, made if need be.
-    ///
-    /// # Errors
-    /// If it can't be made, or is that of a run.
-    pub fn open(path: &Path) -> anyhow::Result<Self> {
-        let refuse = |why: &dyn std::fmt::Display| Failure::usage(format!("--out {}: {why}", path.display()));
-        if let Some(manifest) = Manifest::read(path).map_err(|error| Failure::usage(format!("--out {error}")))? {
-            return Err(refuse(&format!("it holds {}; choose another folder", manifest.whose())).into());
-        }
-        std::fs::create_dir_all(path).map_err(|error| refuse(&error))?;
-        Ok(Self(path.to_owned()))
-    }
-
-    /// Writes a file.
-    ///
-    /// # Errors
-    /// If it can't be written.
-    pub fn write(&self, name: &str, content: impl AsRef<[u8]>) -> anyhow::Result<()> {
-        let path = self.0.join(name);
-        std::fs::write(&path, content).with_context(|| path.display().to_string())
-    }
-
-    /// Removes a file, if it is there.
-    ///
-    /// # Errors
-    /// If it can't be removed.
-    pub fn remove(&self, name: &str) -> anyhow::Result<()> {
-        let path = self.0.join(name);
-        match std::fs::remove_file(&path) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                Err(error).context(path.display().to_string())
-            }
-            _ => Ok(()),
-        }
-    }
-
-    /// Writes a picture as SVG, which follows the reader's light or dark theme, and as PNG.
-    ///
-    /// # Errors
-    /// If it can't be written.
-    pub fn picture(&self, name: &str, figure: &Figure) -> anyhow::Result<()> {
-        self.write(&format!("{name}.svg"), to_svg(figure, Theme::Auto))?;
-        self.write(&format!("{name}.png"), to_png(figure, PNG_SCALE).context(name.to_owned())?)
-    }
-
-    /// Where it is.
-    #[must_use]
-    pub fn path(&self) -> &Path {
-        &self.0
     }
 }
 

@@ -1,4 +1,4 @@
-//! A folder of results is one run's: who may write into it, what says so, and whether it is all there.
+//! A folder of results is one run's, or one study's: who may write into it, what says so, and whether it is all there.
 //!
 //! | step | who | what |
 //! |---|---|---|

@@ -23,8 +23,10 @@ pub mod text;
 
 use std::collections::BTreeMap;
 use std::io::Write as _;
+use std::path::Path;
 
 use anyhow::Context as _;
+use loopbound_model::quote;
 use loopbound_monitor::hops::Hop;
 use loopbound_monitor::verdict::comparison::compare_hop;
 use loopbound_scenario::system::advice::Remedy;
@@ -42,8 +44,9 @@ use self::group::{RunError, Runner};
 pub use self::options::LoadArgs;
 use self::options::{Plan, Quantile};
 use self::text::percent;
-use super::Folder;
+use super::folder::{Asked, Folder, picture_files};
 use crate::exit::Exit;
+use crate::needs;
 use crate::progress::Progress;
 use crate::signals::Stop;
 
@@ -93,8 +96,11 @@ pub struct Report {
 /// If an option or the scenario is refused, or the folder can't be written.
 pub fn run(args: &LoadArgs) -> anyhow::Result<Exit> {
     let plan = args.plan()?;
-    let folder = Folder::open(&args.out)?;
+    let folder = Asked::new(&args.out, "study-load", &files())?;
+    needs::check(&plan.base)?;
     let stop = Stop::install().context("signals")?;
+    // An earlier study's recommendation would pass for this one's.
+    let mut folder = folder.take()?;
     // A name of its own: it is removed with all that is in it.
     let runner = Runner { folder: folder.path().join(format!("run-{}", std::process::id())), stop: &stop };
     announce(&plan, &folder);
@@ -105,8 +111,6 @@ pub fn run(args: &LoadArgs) -> anyhow::Result<Exit> {
         all: vec![Measured::default(); plan.cases.len()],
         host: BTreeMap::new(),
     };
-    // That of an earlier study would pass for this one's.
-    folder.remove("recommended.toml")?;
     study.measure(&runner)?;
     let mut report = study.report(stop.requested().is_some());
     if let Some(setting) = report.advice.choice.map(|at| report.advice.settings[at].clone()) {
@@ -116,8 +120,8 @@ pub fn run(args: &LoadArgs) -> anyhow::Result<Exit> {
             report.check = check::run(&plan, &runner, &case, &scenario, &setting);
         }
     }
-    write(&folder, &report)?;
-    print(args, &report, &folder)?;
+    write(&mut folder, &report)?;
+    print(args, &report, &folder.finish()?)?;
     let found = report.check.as_ref().is_some_and(|check| check.against.is_empty());
     Ok(stop.requested().unwrap_or(if found { Exit::Held } else { Exit::Inconclusive }))
 }
@@ -130,7 +134,7 @@ fn announce(plan: &Plan, folder: &Folder) {
         plan.cases.len(),
         plan.rounds,
         Nanos(plan.run_ns),
-        folder.path().display()
+        quote::path(folder.path())
     );
 }
 
@@ -289,7 +293,12 @@ fn progress(runs: usize) -> anyhow::Result<Progress> {
     Progress::start(runs as u64, bar).context("progress")
 }
 
-fn write(folder: &Folder, report: &Report) -> anyhow::Result<()> {
+fn files() -> Vec<String> {
+    let texts = ["table.csv", "table.json", "report.md", "load.html", "recommended.toml"].map(str::to_owned);
+    texts.into_iter().chain(picture_files("load")).collect()
+}
+
+fn write(folder: &mut Folder, report: &Report) -> anyhow::Result<()> {
     folder.write("table.csv", text::csv(report))?;
     folder.write("table.json", serde_json::to_string_pretty(report)?)?;
     folder.picture("load", &pictures::maps(report))?;
@@ -297,7 +306,7 @@ fn write(folder: &Folder, report: &Report) -> anyhow::Result<()> {
     folder.write("load.html", page::page(report))
 }
 
-fn print(args: &LoadArgs, report: &Report, folder: &Folder) -> anyhow::Result<()> {
+fn print(args: &LoadArgs, report: &Report, folder: &Path) -> anyhow::Result<()> {
     let mut out = say::stdout();
     if args.json {
         writeln!(out, "{}", serde_json::to_string_pretty(report)?)?;
@@ -317,7 +326,7 @@ fn print(args: &LoadArgs, report: &Report, folder: &Folder) -> anyhow::Result<()
     if let Some(check) = &report.check {
         writeln!(out, "{}", check.words)?;
     }
-    writeln!(out, "\nwritten to {}", folder.path().display())?;
+    writeln!(out, "\nwritten to {}", quote::path(folder))?;
     Ok(())
 }
 

@@ -5,15 +5,17 @@ use std::io::Write as _;
 
 use loopbound_model::bound::stability::sampling_budget;
 use loopbound_model::law::LawKind;
+use loopbound_model::quote;
 use loopbound_model::with_links;
 use loopbound_scenario::system;
 use loopbound_scenario::{Hertz, PerLink, Scenario, ScenarioError};
 use loopbound_shared::say;
 
 use super::cases::{Base, Case, NOISE, Variant, nanos, variants};
+use super::folder::{Asked, Folder, picture_files};
 use super::measure::{Measured, measure};
 use super::table::{Row, Table, short};
-use super::{Folder, PaperArgs, figures, on_all_cores, verdicts};
+use super::{PaperArgs, figures, on_all_cores, verdicts};
 use crate::exit::{Exit, Failure};
 
 /// Limit of each actuator in the trade-off of C1, N·m: three times what gravity asks of the first link.
@@ -56,13 +58,18 @@ pub struct Findings {
 /// # Errors
 /// If the folder can't be written.
 pub fn run(args: &PaperArgs) -> anyhow::Result<Exit> {
-    for &links in &args.links {
-        let path = if args.links.len() == 1 { args.out.clone() } else { args.out.join(format!("n{links}")) };
-        let folder = Folder::open(&path)?;
+    let path_of =
+        |links: usize| if args.links.len() == 1 { args.out.clone() } else { args.out.join(format!("n{links}")) };
+    let asked = |&links: &usize| Asked::new(&path_of(links), "study-paper", &files()).map(|folder| (links, folder));
+    // All of them before the first takes its minutes.
+    let asked = args.links.iter().map(asked).collect::<Result<Vec<_>, _>>()?;
+    for (links, folder) in asked {
         let found = with_links!(links, study::<N>(args.quick)).map_err(|e| Failure::usage(e.to_string()))?;
-        write(&folder, &found)?;
+        let mut folder = folder.take()?;
+        write(&mut folder, &found)?;
+        let path = folder.finish()?;
         let mut out = say::stdout();
-        writeln!(out, "{links} links\n\n{}\nwritten to {}", verdicts_text(&found), folder.path().display())?;
+        writeln!(out, "{links} links\n\n{}\nwritten to {}", verdicts_text(&found), quote::path(&path))?;
     }
     Ok(Exit::Held)
 }
@@ -151,8 +158,16 @@ fn trade_off_scenario(base: &Base, rate_hz: f64, c1_nm: f64) -> Scenario {
     scenario
 }
 
-fn write(folder: &Folder, found: &Findings) -> anyhow::Result<()> {
-    let picture = |name: &str, figure| folder.picture(name, &figure);
+const PICTURES: [&str; 7] = ["figure-4", "figure-5", "figure-6", "figure-7", "errors", "map", "trade-off"];
+const TEXTS: [&str; 3] = ["table.csv", "trade-off.csv", "report.md"];
+
+fn files() -> Vec<String> {
+    let texts = TEXTS.into_iter().map(str::to_owned);
+    texts.chain(PICTURES.into_iter().flat_map(picture_files)).collect()
+}
+
+fn write(folder: &mut Folder, found: &Findings) -> anyhow::Result<()> {
+    let mut picture = |name: &str, figure| folder.picture(name, &figure);
     let nothing = Measured::default();
     let exact = |law: &str| found.table.get(Case::Exact, law).unwrap_or(&nothing);
     let (robust, ctc) = (exact("robust"), exact("ctc 25/10"));

@@ -2,16 +2,19 @@
 
 use std::fmt::Write as _;
 use std::io::Write as _;
+use std::path::Path;
 
 use loopbound_model::law::LawKind;
+use loopbound_model::quote;
 use loopbound_model::with_links;
 use loopbound_monitor::chart::{Axis as ChartAxis, Figure, Panel, Series, Style};
 use loopbound_scenario::ScenarioError;
 use loopbound_shared::say;
 
 use super::boundary::{Boundary, Probe};
+use super::folder::{Asked, picture_files};
 use super::table::short;
-use super::{Folder, SweepArgs, on_all_cores};
+use super::{SweepArgs, on_all_cores};
 use crate::exit::{Exit, Failure};
 
 /// Period of the study of delays, s.
@@ -86,19 +89,24 @@ pub fn run(args: &SweepArgs, axis: Axis) -> anyhow::Result<Exit> {
             "--law: found ctc, allowed: robust, robust-ff, pd+g (ctc has no fast mode, and no gain that scales it)";
         return Err(Failure::usage(why).into());
     }
+    let name = if axis == Axis::Delay { "delay" } else { "rate" };
+    let study = if axis == Axis::Delay { "study-delay" } else { "study-rate" };
+    let mut files = vec![format!("{name}.csv"), format!("{name}.md")];
+    files.extend(picture_files(name));
+    let folder = Asked::new(args.out.as_deref().unwrap_or(Path::new(study)), study, &files)?;
     let mut all = Vec::new();
     for &links in &args.links {
         let found = points(links, args.law, axis, args.quick).map_err(|e| Failure::usage(e.to_string()))?;
         all.extend(found);
     }
-    let folder = Folder::open(&args.out)?;
-    let name = if axis == Axis::Delay { "delay" } else { "rate" };
+    // An earlier study stays until there is something to take its place.
+    let mut folder = folder.take()?;
     folder.picture(name, &figure(args.law, axis, &all))?;
     folder.write(&format!("{name}.csv"), to_csv(axis, &all))?;
     let text = report(args.law, axis, &all);
     folder.write(&format!("{name}.md"), &text)?;
     let mut out = say::stdout();
-    writeln!(out, "{text}\nwritten to {}", folder.path().display())?;
+    writeln!(out, "{text}\nwritten to {}", quote::path(&folder.finish()?))?;
     Ok(if worst(&all, Boundary::radius_deviation) <= AGREEMENT { Exit::Held } else { Exit::Failed })
 }
 

@@ -65,17 +65,3 @@ fn every_law_of_the_study_is_certified_without_mismatch_and_keeps_its_bound() {
     assert!(of("robust") > 100.0 * of("robust-ff"), "{} {}", of("robust"), of("robust-ff"));
     assert_eq!(variants()[0].law, LawKind::Robust);
 }
-
-#[test]
-fn a_study_is_refused_where_a_run_has_its_folder_or_a_file_is() {
-    use loopbound_monitor::folder::{Begin, Claim, Kind};
-    let folder = tempfile::tempdir().unwrap();
-    Folder::open(&folder.path().join("new")).unwrap();
-    let run_id = loopbound_shared::run_id::RunId::draw();
-    let begin = Begin { run_id, group: "g", scenario: None, waypoints: None };
-    drop(Claim::prepare(folder.path(), Kind::Run).unwrap().begin(&begin).unwrap());
-    for refused in [folder.path().to_owned(), folder.path().join("manifest.json")] {
-        let error = Folder::open(&refused).unwrap_err();
-        assert_eq!(crate::exit::Exit::of(&error), crate::exit::Exit::Usage, "{error}");
-    }
-}

@@ -200,3 +200,47 @@ fn where_no_further_process_may_be_started_the_limit_is_named_and_nothing_is_lef
     let examined = case.start_command(limited(1, &["doctor"])).wait();
     assert!(examined.code == Some(0) && examined.err.is_empty(), "{examined:?}");
 }
+
+/// What is refused before anything was started: one line, exit code 2, no group.
+fn assert_refused_for_its_folder(case: &Case, command: Command, words: &str) {
+    let ended = case.start_command(command).wait();
+    assert_eq!(ended.code, Some(2), "{ended:?}");
+    assert!(ended.err.starts_with("loopbound: --out ") && ended.err.contains(words), "{words}: {ended:?}");
+    assert_eq!((ended.err.lines().count(), ended.out.as_str()), (1, ""), "{ended:?}");
+    case.assert_nothing_left();
+}
+
+#[test]
+fn results_that_a_mount_or_a_users_rights_keep_from_being_written_are_refused_before_anything_starts() {
+    let case = Case::new("no-write");
+    let folder = case.work.path().join("out");
+    std::fs::create_dir(&folder).expect("a folder");
+    let out = folder.to_str().expect("a path in UTF-8");
+    let commands = |out: &str| {
+        let run = ["run", "--mode", "lockstep", "--duration", "60ms", "--group", &case.group, "--out"];
+        [[&run[..], &[out]].concat(), vec!["study", "delay", "--quick", "--out", out]]
+            .map(|arguments| case.command(&arguments))
+    };
+    let behind = |before: &[&str], plain: &Command| {
+        let mut command = Command::new(before[0]);
+        command.args(&before[1..]).arg(plain.get_program()).args(plain.get_args()).current_dir("/");
+        command
+    };
+    let read_only = format!("mount --bind {out} {out} && mount -o remount,ro,bind {out} && exec \"$0\" \"$@\"");
+    let before = ["unshare", "-m", "sh", "-c", &read_only];
+    let user = ["setpriv", "--reuid=65531", "--regid=65531", "--clear-groups"];
+    let possible =
+        |before: &[&str]| behind(before, &case.command(&["ps"])).output().is_ok_and(|probe| probe.status.success());
+    if !possible(&before) || !possible(&user) {
+        not_tested("results that can't be written", "only root can mount and become another user");
+        return;
+    }
+    let below = format!("{out}/a/b");
+    for plain in commands(out).iter().chain(&commands(&below)) {
+        assert_refused_for_its_folder(&case, behind(&before, plain), "Read-only file system");
+        let mut command = behind(&user, plain);
+        command.env_remove("LOOPBOUND_RUNTIME_DIR");
+        assert_refused_for_its_folder(&case, command, "Permission denied");
+    }
+    assert!(std::fs::read_dir(&folder).expect("the folder").next().is_none(), "nothing was touched");
+}

@@ -36,7 +36,13 @@ fn assert_nothing_left(case: &Case, study: u32) {
 fn a_short_study_measures_real_groups_and_writes_what_it_found() {
     let case = Case::apart("study");
     fs::create_dir(case.work.path().join("out")).expect("the folder");
-    case.write("out/recommended.toml", "what an earlier study left");
+    // Nobody else's recommendation may be taken for the study's, nor be lost.
+    case.write("out/recommended.toml", "mine");
+    let refused = start(&case, &SHORT).wait();
+    assert!(refused.code == Some(2) && refused.err.contains("recommended.toml is not of loopbound's"), "{refused:?}");
+    let mine = case.work.path().join("out/recommended.toml");
+    assert_eq!(fs::read_to_string(&mine).expect("the file"), "mine");
+    fs::remove_file(mine).expect("moved away");
     // Limits that every machine keeps, so that something is recommended even on a busy one.
     let two = ["--wakeups", "hybrid,block", "--privileges", "without", "--missed-max", "100%", "--cpu-max", "1000%"];
     // Long enough for the intervals without which nothing is recommended.
@@ -61,6 +67,10 @@ fn a_short_study_measures_real_groups_and_writes_what_it_found() {
         assert!(fs::metadata(out.join(name)).is_ok_and(|file| file.len() > 500), "{name}");
     }
     check_recommendation(&case, &report, &out.join("recommended.toml"));
+    let manifest: Value =
+        serde_json::from_slice(&fs::read(out.join("manifest.json")).expect("manifest")).expect("JSON");
+    assert!(manifest["kind"] == "study" && manifest["state"] == "finished", "{manifest}");
+    assert!(manifest["files"]["load.html"]["sha256"].is_string(), "{manifest}");
     assert_nothing_left(&case, study);
 }
 

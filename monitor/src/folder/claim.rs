@@ -74,6 +74,19 @@ impl Claim {
         Ok(claim)
     }
 
+    /// The files that a study will write: they have to be an earlier study's, or not there.
+    ///
+    /// # Errors
+    /// If one is somebody else's.
+    pub fn for_files(mut self, names: &[String]) -> Result<Self, FolderError> {
+        for name in names {
+            if !self.earlier.contains(name) && self.is_there_and_ours(name)? {
+                self.earlier.push(name.clone());
+            }
+        }
+        Ok(self)
+    }
+
     /// Where it is, without links and from the root.
     #[must_use]
     pub fn path(&self) -> &Path {
@@ -160,11 +173,16 @@ impl Claim {
                     && input::open_file(&path).and_then(Stamp::of_reader).is_ok_and(|now| now == *stamp))
         };
         let empty_of_ours = about.len() == 0 && fs::symlink_metadata(self.path.join(FILE)).is_ok();
-        if self.listed.get(name).is_some_and(as_listed) || empty_of_ours || known::is_ours(&self.path, name, &head) {
+        // What a study wrote is told by its manifest alone.
+        let known = || self.kind == Kind::Run && known::is_ours(&self.path, name, &head);
+        if self.listed.get(name).is_some_and(as_listed) || empty_of_ours || known() {
             return Ok(true);
         }
-        let changed = self.listed.contains_key(name);
-        refuse(if changed { "was changed since its run wrote it" } else { "is not of loopbound's" })
+        refuse(match (self.listed.contains_key(name), self.kind) {
+            (true, Kind::Run) => "was changed since its run wrote it",
+            (true, Kind::Study) => "was changed since its study wrote it",
+            (false, _) => "is not of loopbound's",
+        })
     }
 
     fn ask_for_room(&self) -> Result<(), FolderError> {

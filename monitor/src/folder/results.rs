@@ -84,6 +84,11 @@ impl Results {
         self.manifest.files.insert(name.into(), stamp);
     }
 
+    /// A file with this content is about to be written.
+    pub fn announce(&mut self, name: &str, bytes: &[u8]) {
+        self.note(name, Stamp::of(bytes));
+    }
+
     /// Writes a file whole or not at all.
     ///
     /// # Errors
