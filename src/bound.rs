@@ -9,6 +9,7 @@ use std::io::Write as _;
 use clap::Args;
 use loopbound_model::bound::certificate::{Certificate, Certification};
 use loopbound_model::bound::coverage::Gap;
+use loopbound_model::bound::units::Units;
 use loopbound_model::law::LawKind;
 use loopbound_model::quote;
 use loopbound_model::with_links;
@@ -93,35 +94,46 @@ fn advise<const N: usize>(scenario: &Scenario, latency_s: f64) -> Result<Answer,
     Ok(answer)
 }
 
-/// Symbol, value, unit and meaning of every number that the law's certificate has.
-fn rows(c: &Certificate) -> Vec<(&'static str, f64, &'static str, &'static str)> {
-    let all = [
-        ("beta", c.beta, "1/s", "of r = e' + beta e"),
-        ("p", c.p, "N·m/rad", "weight of |e|² in V"),
-        ("k2", c.k2, "N·m·s", "share of the gain that makes V fall"),
-        ("k3", c.k3, "1/(N·m·rad/s)", "ε = 1/(4 K3)"),
-        ("c1", c.c1, "N·m", "covers what does not vanish with the error"),
-        ("c1_required", c.c1_required, "N·m", "what it must cover at least"),
-        ("kappa", c.kappa, "N·m·s", "what the Coriolis and cross terms take"),
-        ("k_t", c.k_t, "N·m·s", "total gain: K2 + κ + K3 C1²"),
-        ("k_p", c.k_p, "", "gain of the law"),
-        ("k_d", c.k_d, "", "gain of the law"),
-        ("level", c.level, "", "c: certified where V ≤ c"),
-        ("v_start", c.v_start, "", "V(0), an upper bound"),
-        ("v_ultimate", c.v_ultimate(), "", "ε/α: where V settles at most"),
-        ("alpha", c.alpha, "1/s", "rate at which V falls"),
-        ("epsilon", c.epsilon, "1/s", "what V may rise by"),
-        ("w_norm", c.w_norm, "", "radius of (e, r) outside which V falls; depends on the unit of time"),
-        ("ultimate_e_rad", c.ultimate_e, "rad", "ultimate bound of |e|"),
-        ("ultimate_r_rad_s", c.ultimate_r, "rad/s", "ultimate bound of |r|"),
-        ("lambda_lo", c.lambda_lo, "kg·m²", "least eigenvalue of M"),
-        ("lambda_hi", c.lambda_hi, "kg·m²", "largest eigenvalue of M"),
-        ("mu", c.mu, "", "mass mismatch covered"),
-        ("disturbance_nm", c.disturbance_nm, "N·m", "disturbance covered"),
-    ];
-    // A number that the law's certificate does not have is exactly 0; μ, D and what is required may rightly be.
-    let kept = ["mu", "disturbance_nm", "c1_required", "v_start"];
-    all.into_iter().filter(|(key, value, ..)| value.abs() > 0.0 || value.is_nan() || kept.contains(key)).collect()
+/// One number of a certificate.
+struct Row {
+    key: &'static str,
+    /// None where the law has no such number.
+    value: Option<f64>,
+    unit: &'static str,
+    meaning: &'static str,
+}
+
+/// Every number that a certificate can have, the same list for every law.
+fn rows(law: LawKind, c: &Certificate) -> Vec<Row> {
+    let on_r = |value: f64| (law != LawKind::Ctc).then_some(value);
+    let pd = |value: f64| matches!(law, LawKind::Ctc | LawKind::PdG).then_some(value);
+    let units = Units::of(law);
+    let row = |key, value, unit, meaning| Row { key, value, unit, meaning };
+    vec![
+        row("beta", on_r(c.beta), "1/s", "of r = e' + beta e"),
+        row("p", on_r(c.p), "N·m/rad", "weight of ‖e‖² in V"),
+        row("k2", on_r(c.k2), "N·m·s", "share of the gain that makes V fall"),
+        row("k3", on_r(c.k3), "1/(N·m·rad/s)", "ε = 1/(4 K3)"),
+        row("c1", on_r(c.c1), "N·m", "covers what does not vanish with the error"),
+        row("c1_required", on_r(c.c1_required), "N·m", "what it must cover at least"),
+        row("kappa", on_r(c.kappa), "N·m·s", "what the Coriolis and cross terms take"),
+        row("k_t", on_r(c.k_t), "N·m·s", "total gain: K2 + κ + K3 C1²"),
+        row("k_p", pd(c.k_p), units.k_p, "gain of the law"),
+        row("k_d", pd(c.k_d), units.k_d, "gain of the law"),
+        row("level", Some(c.level), units.v, "c: certified where V ≤ c"),
+        row("v_start", Some(c.v_start), units.v, "V(0), an upper bound"),
+        row("v_ultimate", Some(c.v_ultimate()), units.v, "ε/α: where V settles at most"),
+        row("alpha", Some(c.alpha), "1/s", "rate at which V falls"),
+        row("epsilon", Some(c.epsilon), units.epsilon, "what V may rise by"),
+        row("w_norm", Some(c.w_norm), "", "‖W‖, W = (e, r): V falls outside; depends on the unit of time"),
+        row("ultimate_e_rad", Some(c.ultimate_e), "rad", "ultimate bound of ‖e‖, all links"),
+        row("ultimate_e_link_rad", Some(c.ultimate_e_link()), "rad", "and so of |e_i|, each link"),
+        row("ultimate_r_rad_s", Some(c.ultimate_r), "rad/s", "ultimate bound of ‖r‖, all links"),
+        row("lambda_lo", Some(c.lambda_lo), "kg·m²", "least eigenvalue of M"),
+        row("lambda_hi", Some(c.lambda_hi), "kg·m²", "largest eigenvalue of M"),
+        row("mu", Some(c.mu), "", "mass mismatch covered"),
+        row("disturbance_nm", Some(c.disturbance_nm), "N·m", "disturbance covered"),
+    ]
 }
 
 impl Answer {
@@ -169,13 +181,15 @@ impl Answer {
         if self.remedies.is_empty() && !self.holds() {
             text.push_str("  no single change and no gains of the grid were found that would do\n");
         }
-        for (key, value, unit, meaning) in rows(&self.certification.certificate) {
-            text.push_str(&format!("  {key:<17}{value:>12.5}  {unit:<14}  {meaning}\n"));
+        for Row { key, value, unit, meaning } in rows(self.law, &self.certification.certificate) {
+            if let Some(value) = value {
+                text.push_str(&format!("  {key:<20}{value:>12.5}  {unit:<14}  {meaning}\n"));
+            }
         }
-        text.push_str(&self.sampling.render());
+        text.push_str(&self.sampling.render(self.law));
         if let Some(better) = &self.better {
             let room = advice::ROOM * 100.0;
-            text.push_str(&format!("  smallest proven |e| with {room:.0} % of the room: {}\n", advised(better)));
+            text.push_str(&format!("  smallest proven ‖e‖ with {room:.0} % of the room: {}\n", advised(better)));
         }
         text
     }
@@ -183,10 +197,12 @@ impl Answer {
     /// For programs.
     fn to_json(&self) -> Value {
         let certification = &self.certification;
-        let numbers: serde_json::Map<String, Value> = rows(&certification.certificate)
-            .into_iter()
-            .map(|(key, value, ..)| (key.to_owned(), json!(value)))
-            .collect();
+        // A number that the law does not have is null, and so is one that is not finite, since nothing is proven.
+        let all = rows(self.law, &certification.certificate);
+        let numbers: serde_json::Map<String, Value> =
+            all.iter().map(|row| (row.key.to_owned(), json!(row.value))).collect();
+        let units: serde_json::Map<String, Value> =
+            all.iter().map(|row| (row.key.to_owned(), json!(row.unit))).collect();
         json!({
             "law": self.law.name(),
             "headline": self.headline(),
@@ -199,6 +215,7 @@ impl Answer {
             "remedies": self.remedies.iter().map(remedy_to_json).collect::<Vec<_>>(),
             "better": self.better.as_ref().map(remedy_to_json),
             "certificate": numbers,
+            "units": units,
             "sampling": self.sampling.to_json(),
         })
     }
@@ -208,7 +225,7 @@ impl Answer {
 fn advised(remedy: &Remedy) -> String {
     let set: Vec<String> = remedy.settings.iter().map(|setting| format!("--set {setting}")).collect();
     let Certificate { ultimate_e, k_t, .. } = remedy.certificate;
-    let mut text = format!("{}  (|e| proven to {ultimate_e:.4} rad", set.join(" "));
+    let mut text = format!("{}  (‖e‖ proven to {ultimate_e:.4} rad", set.join(" "));
     if k_t > 0.0 {
         text.push_str(&format!(", gain {k_t:.4}"));
     }

@@ -44,7 +44,10 @@ struct Difference {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct Figure {
     name: &'static str,
+    /// Of `a`.
     unit: &'static str,
+    /// Of `b`: another one where V is that of another law.
+    unit_b: &'static str,
     a: Option<f64>,
     b: Option<f64>,
     /// b / a; none where one of them is zero or absent, or where it would compare the bounds of two certificates.
@@ -168,7 +171,8 @@ fn figures(a: &Summary, b: &Summary, differences: &[Difference]) -> Vec<Figure> 
     let certificate = ["controller", "swap"];
     let other = a.bound.law != b.bound.law
         || differences.iter().any(|difference| certificate.iter().any(|key| difference.key.starts_with(key)));
-    let figure = |name, unit, of: fn(&Summary) -> Option<f64>, of_bound: bool| {
+    let figure = |name, unit: fn(&Summary) -> &'static str, of: fn(&Summary) -> Option<f64>, of_bound: bool| {
+        let [unit, unit_b] = [a, b].map(unit);
         let (a, b) = (of(a), of(b));
         let why_no_ratio = match (a, b) {
             _ if of_bound && other => Some("two laws"),
@@ -177,25 +181,27 @@ fn figures(a: &Summary, b: &Summary, differences: &[Difference]) -> Vec<Figure> 
             _ => None,
         };
         let ratio = a.zip(b).map(|(a, b)| b / a).filter(|ratio| why_no_ratio.is_none() && ratio.is_finite());
-        Figure { name, unit, a, b, ratio, why_no_ratio }
+        Figure { name, unit, unit_b, a, b, ratio, why_no_ratio }
     };
+    let v_unit: fn(&Summary) -> &'static str = |s| s.bound.units().map_or("", |units| units.v);
     vec![
-        figure("largest |e|, settled", "rad", |s| s.tracking.max_abs_e_rad, false),
-        figure("rms e, settled", "rad", |s| s.tracking.rms_e_rad, false),
-        figure("largest V", "J", |s| s.bound.v_max, true),
-        figure("least slack of V", "J", |s| s.bound.slack_min, true),
-        figure("largest |W|, settled", "", |s| s.bound.w_norm_max_settled, true),
+        figure("largest |e_i|, settled", |_| "rad", |s| s.tracking.max_abs_e_rad, false),
+        figure("largest ‖e‖, settled", |_| "rad", |s| s.tracking.max_norm_e_rad, false),
+        figure("rms e_i, settled", |_| "rad", |s| s.tracking.rms_e_rad, false),
+        figure("largest V", v_unit, |s| s.bound.v_max, true),
+        figure("least slack of V", v_unit, |s| s.bound.slack_min, true),
+        figure("largest ‖W‖, settled", |_| "", |s| s.bound.w_norm_max_settled, true),
     ]
 }
 
 fn table(figures: &[Figure]) -> String {
     let mut text = String::new();
-    for Figure { name, unit, a, b, ratio, why_no_ratio } in figures {
-        let value = |value: &Option<f64>| {
+    for Figure { name, unit, unit_b, a, b, ratio, why_no_ratio } in figures {
+        let value = |value: &Option<f64>, unit: &str| {
             value.map_or_else(|| "absent".to_owned(), |value| format!("{value:.4} {unit}").trim_end().to_owned())
         };
         let ratio = ratio.map_or_else(|| why_no_ratio.unwrap_or("–").to_owned(), |ratio| format!("{ratio:.3}"));
-        let _ = writeln!(text, "{name:<29}{:>12}{:>12}{ratio:>9}", value(a), value(b));
+        let _ = writeln!(text, "{name:<25}{:>16}{:>16}{ratio:>9}", value(a, unit), value(b, unit_b));
     }
     text
 }
@@ -233,7 +239,7 @@ mod tests {
         let (same, other) = (of("ctc", 1.0, Some(4.0)), of("robust", 1.0, Some(4.0)));
         assert_eq!(ratio(&of("ctc", 1.0, Some(2.0)), &same, "largest V"), (Some(2.0), None));
         assert_eq!(ratio(&same, &other, "largest V"), (None, Some("two laws")));
-        assert_eq!(ratio(&same, &other, "largest |e|, settled"), (Some(1.0), None));
+        assert_eq!(ratio(&same, &other, "largest |e_i|, settled"), (Some(1.0), None));
         assert_eq!(ratio(&same, &of("ctc", 1.0, Some(0.0)), "largest V"), (None, Some("zero")));
         assert_eq!(ratio(&same, &of("ctc", 1.0, None), "largest V"), (None, Some("absent")));
     }

@@ -87,10 +87,14 @@ pub struct Report {
     pub verdict: String,
     /// Its reasons.
     pub reasons: Vec<String>,
-    /// Largest |e| once settled, rad.
+    /// Largest |e_i| of one link once settled, rad.
     pub max_abs_e_rad: Option<f64>,
+    /// Largest ‖e‖ of all links once settled, rad.
+    pub max_norm_e_rad: Option<f64>,
     /// Largest V.
     pub v_max: Option<f64>,
+    /// Its unit.
+    pub v_unit: Option<String>,
 }
 
 /// Replays a run, and reports.
@@ -304,7 +308,8 @@ impl<const N: usize> Replay<N> {
             self.report.as_recorded_because = engine.as_recorded.iter().map(|(why, n)| (why.reason(), *n)).collect();
         }
         self.report.max_abs_e_rad = summary.tracking.max_abs_e_rad;
-        self.report.v_max = summary.bound.v_max;
+        self.report.max_norm_e_rad = summary.tracking.max_norm_e_rad;
+        (self.report.v_max, self.report.v_unit) = (summary.bound.v_max, summary.bound.v_unit);
         self.report.verdict = summary.verdict.status;
         self.report.reasons = summary.verdict.reasons;
         self.report
@@ -353,9 +358,15 @@ fn render(report: &Report) -> String {
             report.differences
         )),
         None if report.what_if => {
-            let e = report.max_abs_e_rad.map_or_else(|| "none".to_owned(), |e| format!("{e:.6} rad"));
-            let v = report.v_max.map_or_else(|| "none".to_owned(), |v| format!("{v:.6}"));
-            lines.push(format!("what if: largest error once settled {e}, largest V {v}"));
+            let shown = |value: Option<f64>, unit: &str| {
+                value.map_or_else(|| "none".to_owned(), |value| format!("{value:.6} {unit}").trim_end().to_owned())
+            };
+            lines.push(format!(
+                "what if: largest error once settled: |e_i| of one link {}, ‖e‖ of all links {}; largest V {}",
+                shown(report.max_abs_e_rad, "rad"),
+                shown(report.max_norm_e_rad, "rad"),
+                shown(report.v_max, report.v_unit.as_deref().unwrap_or(""))
+            ));
         }
         None if report.ticks == 0 => lines.push("nothing was recorded that could be compared".to_owned()),
         None => lines.push(format!(

@@ -15,6 +15,7 @@
 //! | [`lyapunov`] | V, its promised rate, the observed Ψ, and which blends of laws a certificate covers |
 //! | [`diagnose`] | whether an interval kept the promise, and if not whose fault it was |
 //! | [`stability`] | how late a torque may be: \[11], \[12], \[13] and the spectral radius of the sampled loop |
+//! | [`units`] | in which units all that is given |
 
 pub mod certificate;
 pub mod coverage;
@@ -24,6 +25,7 @@ pub mod envelope;
 pub mod lyapunov;
 pub mod remedy;
 pub mod stability;
+pub mod units;
 
 #[cfg(test)]
 mod attack;

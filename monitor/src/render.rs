@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 
 use loopbound_model::bound::stability::SamplingRule;
+use loopbound_model::law::LawKind;
 use loopbound_shared::event::MessageKind;
 
 use crate::cause::words_of;
@@ -179,10 +180,13 @@ fn control(screen: &mut Screen, summary: &Summary) {
         format!("{what} before it settled")
     } else {
         format!(
-            "max |e| {} rad, rms {} rad; max |ė| {} rad/s, rms {} rad/s ({} ticks, settled)",
+            "max |e_i| {} rad (one link), max ‖e‖ {} rad (all links), rms e_i {} rad; max |ė_i| {} rad/s, max ‖ė‖ {} rad/s, \
+             rms ė_i {} rad/s ({} ticks, settled)",
             number(tracking.max_abs_e_rad),
+            number(tracking.max_norm_e_rad),
             number(tracking.rms_e_rad),
             number(tracking.max_abs_ed_rad_s),
+            number(tracking.max_norm_ed_rad_s),
             number(tracking.rms_ed_rad_s),
             tracking.n
         )
@@ -233,12 +237,14 @@ fn turn(of: &LawSummary) -> String {
 }
 
 fn of_one_law(screen: &mut Screen, bound: &BoundSummary) {
+    let units = bound.units();
+    let v = |value: Option<f64>| with_unit(value, units.map(|units| units.v));
     let text = format!(
         "{} at first, max {}, {} at the end; certified level c = {}",
-        number(bound.v_start),
-        number(bound.v_max),
-        number(bound.v_final),
-        number(bound.level)
+        v(bound.v_start),
+        v(bound.v_max),
+        v(bound.v_final),
+        v(bound.level)
     );
     screen.entry("V", &text);
     if bound.checked == 0 {
@@ -251,17 +257,19 @@ fn of_one_law(screen: &mut Screen, bound: &BoundSummary) {
             bound.checked,
             violations(bound),
             bound.violations_promise,
-            number(bound.slack_min),
-            number(bound.slack_mean)
+            v(bound.slack_min),
+            v(bound.slack_mean)
         );
         screen.entry("bound", &text);
         let text = format!(
-            "Ψ max {} of C1 = {} N·m; |W| settled {} of {}; |e| proven ≤ {} rad",
+            "Ψ max {} of {} = {}; ‖W‖ settled {} of {}; proven in the long run: ‖e‖ ≤ {} rad, and so each |e_i| ≤ {} rad",
             number(bound.psi_max),
-            number(bound.c1),
+            if bound.law.as_deref() == Some(LawKind::Ctc.name()) { "η0" } else { "C1" },
+            with_unit(bound.c1, units.map(|units| units.psi)),
             number(bound.w_norm_max_settled),
             number(bound.uub_radius),
-            number(bound.ultimate_bound)
+            number(bound.ultimate_bound),
+            number(bound.ultimate_bound_link.or(bound.ultimate_bound))
         );
         screen.entry("assumptions", &text);
     }
@@ -394,6 +402,12 @@ fn time(value_ns: Option<f64>) -> String {
     }
 }
 
+/// A number with its unit, where it has one.
+fn with_unit(value: Option<f64>, unit: Option<&str>) -> String {
+    let unit = unit.filter(|_| value.is_some()).map_or_else(String::new, |unit| format!(" {unit}"));
+    format!("{}{unit}", number(value))
+}
+
 fn number(value: Option<f64>) -> String {
     let Some(value) = value else { return "–".to_owned() };
     let size = value.abs();
@@ -456,15 +470,33 @@ mod tests {
             ticks: 500,
             first_tick: Some(1),
             last_tick: Some(500),
-            bound: BoundSummary { law: Some(law.to_owned()), checked: 500, c1: Some(c1), ..BoundSummary::default() },
+            bound: BoundSummary {
+                law: Some(law.to_owned()),
+                checked: 500,
+                c1: Some(c1),
+                v_max: Some(2.0),
+                ultimate_bound: Some(0.25),
+                ultimate_bound_link: Some(0.125),
+                ..BoundSummary::default()
+            },
         };
         summary.bound =
             BoundSummary { laws: vec![of("robust", 1, 40.0), of("ctc", 2, 7.5)], ..of("ctc", 2, 7.5).bound };
         let text = render(&summary, 100, false);
-        for part in ["robust, controller 1: in charge of 500 ticks", "C1 = 40.0000", "ctc, controller 2", "C1 = 7.5000"]
-        {
-            assert_eq!(text.matches(part).count(), 1, "{part}: {text}");
+        let one_line = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        // V of `ctc` is no energy.
+        for part in [
+            "robust, controller 1: in charge of 500 ticks",
+            "C1 = 40.0000 N·m;",
+            "max 2.0000 J,",
+            "ctc, controller 2",
+            "η0 = 7.5000 rad/s²;",
+            "max 2.0000 rad²/s²,",
+        ] {
+            assert_eq!(one_line.matches(part).count(), 1, "{part}: {text}");
         }
+        let proven = "‖e‖ ≤ 0.2500 rad, and so each |e_i| ≤ 0.1250 rad";
+        assert_eq!(one_line.matches(proven).count(), 2, "{text}");
     }
 
     #[test]

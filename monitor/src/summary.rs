@@ -5,6 +5,7 @@
 
 use std::collections::BTreeMap;
 
+use loopbound_model::bound::units::Units;
 use loopbound_shared::headline::Headline;
 use loopbound_shared::realtime::Privileges;
 use loopbound_shared::sample::Counters;
@@ -226,6 +227,10 @@ pub struct BoundSummary {
     pub verdicts: BTreeMap<String, u64>,
     /// The ticks of verdict `fallback` by what kept the torque from coming.
     pub fallback_by_cause: BTreeMap<String, u64>,
+    /// Unit of V, its level, its slack and, a second, of ε: `J`, or `rad²/s²` for `ctc`, whose V is no energy.
+    pub v_unit: Option<String>,
+    /// Unit of C1 and Ψ: `N·m`, or `rad/s²` for `ctc`.
+    pub psi_unit: Option<String>,
     /// c, the certified level of V.
     pub level: Option<f64>,
     /// κ, N·m·s. \[7]
@@ -240,11 +245,11 @@ pub struct BoundSummary {
     pub v_final: Option<f64>,
     /// α, 1/s. \[8]
     pub alpha: Option<f64>,
-    /// ε. \[8]
+    /// ε, in `v_unit` a second. \[8]
     pub epsilon: Option<f64>,
-    /// C1, N·m. \[6]
+    /// C1, N·m; η0 in rad/s² for `ctc`. \[6]
     pub c1: Option<f64>,
-    /// Largest observed Ψ less its κ terms, N·m: sound assumptions keep it below C1.
+    /// Largest observed Ψ less its κ terms, in the unit of C1: sound assumptions keep it below C1.
     pub psi_max: Option<f64>,
     /// Least slack of promise (a): its right side less V, over checked ticks.
     pub slack_min: Option<f64>,
@@ -252,8 +257,10 @@ pub struct BoundSummary {
     pub slack_mean: Option<f64>,
     /// ‖W‖, the radius outside which V falls. (20)
     pub uub_radius: Option<f64>,
-    /// The ultimate bound of |e|, rad. \[9]
+    /// The ultimate bound of ‖e‖, the norm over all links, rad. \[9]
     pub ultimate_bound: Option<f64>,
+    /// The ultimate bound of |e_i|, each link by itself, rad; it follows from that of the norm, and equals it.
+    pub ultimate_bound_link: Option<f64>,
     /// Largest ‖W‖ observed once settled.
     pub w_norm_max_settled: Option<f64>,
     /// How much later the p99.9 torque could be before the sampled loop is unstable, ns. \[11]
@@ -281,6 +288,12 @@ impl BoundSummary {
             (None, Some(name)) if !name.is_empty() => format!("{name} (announced no law)"),
             (None, _) => "no announced law".to_owned(),
         }
+    }
+
+    /// The units of its figures; none for an unknown law.
+    #[must_use]
+    pub fn units(&self) -> Option<Units> {
+        self.law.as_deref()?.parse().ok().map(Units::of)
     }
 
     /// Checked ticks of a verdict.
@@ -318,10 +331,14 @@ pub struct Tracking {
     pub n: u64,
     /// Largest |e_i|, over links and ticks, rad.
     pub max_abs_e_rad: Option<f64>,
+    /// Largest ‖e‖, the norm over all links, over ticks, rad: what `bound.ultimate_bound` bounds.
+    pub max_norm_e_rad: Option<f64>,
     /// Root mean square of e_i, over links and ticks, rad.
     pub rms_e_rad: Option<f64>,
-    /// Largest |ė_i|, rad/s.
+    /// Largest |ė_i|, over links and ticks, rad/s.
     pub max_abs_ed_rad_s: Option<f64>,
+    /// Largest ‖ė‖, over ticks, rad/s.
+    pub max_norm_ed_rad_s: Option<f64>,
     /// Root mean square of ė_i, rad/s.
     pub rms_ed_rad_s: Option<f64>,
 }

@@ -164,8 +164,10 @@ struct Seen {
 struct Errors {
     ticks: u64,
     e_max_rad: f64,
+    e_norm_max_rad: f64,
     e_sum_rad2: f64,
     ed_max_rad_s: f64,
+    ed_norm_max_rad_s: f64,
     ed_sum_rad2_s2: f64,
 }
 
@@ -407,8 +409,10 @@ impl Errors {
         let ed = to_vector::<N>(&record.v_d) - to_vector::<N>(&record.v);
         self.ticks += 1;
         self.e_max_rad = largest(self.e_max_rad, e.iter());
+        self.e_norm_max_rad = largest(self.e_norm_max_rad, [e.norm()].iter());
         self.e_sum_rad2 += e.norm_squared();
         self.ed_max_rad_s = largest(self.ed_max_rad_s, ed.iter());
+        self.ed_norm_max_rad_s = largest(self.ed_norm_max_rad_s, [ed.norm()].iter());
         self.ed_sum_rad2_s2 += ed.norm_squared();
     }
 
@@ -418,8 +422,10 @@ impl Errors {
         Tracking {
             n: self.ticks,
             max_abs_e_rad: some(self.e_max_rad),
+            max_norm_e_rad: some(self.e_norm_max_rad),
             rms_e_rad: some((self.e_sum_rad2 / count).sqrt()),
             max_abs_ed_rad_s: some(self.ed_max_rad_s),
+            max_norm_ed_rad_s: some(self.ed_norm_max_rad_s),
             rms_ed_rad_s: some((self.ed_sum_rad2_s2 / count).sqrt()),
         }
     }

@@ -7,6 +7,8 @@ use loopbound_model::bound::stability::radius::{Limit, SampledLoop};
 use loopbound_model::bound::stability::{
     ProvenAge, SamplingBudget, hold_limit_s, hold_limit_ticks, proven_age, sampling_budget,
 };
+use loopbound_model::bound::units::Units;
+use loopbound_model::law::LawKind;
 use loopbound_scenario::system::{self, advice::CONFIGURATIONS};
 use loopbound_scenario::{Scenario, ScenarioError};
 use serde_json::{Value, json};
@@ -113,7 +115,7 @@ impl Sampling {
 
     /// For people.
     #[must_use]
-    pub fn render(&self) -> String {
+    pub fn render(&self, law: LawKind) -> String {
         let state = |stable: bool| if stable { "stable" } else { "UNSTABLE" };
         let margin = self.delay_margin();
         let mut text = format!(
@@ -159,11 +161,12 @@ impl Sampling {
         }
         let _ = writeln!(
             text,
-            "  [13] a torque of {:.1} N·m may be held for {:.2} ms ({} ticks) from V = {:.4}",
+            "  [13] a torque of {:.1} N·m may be held for {:.2} ms ({} ticks) from V = {:.4} {}",
             self.held.1,
             self.hold_s * 1e3,
             self.hold_ticks,
-            self.held.0
+            self.held.0,
+            Units::of(law).v
         );
         text
     }

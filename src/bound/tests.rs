@@ -93,7 +93,7 @@ fn the_latency_side_has_the_documented_room_age_and_hold_limit() {
     assert!(sampling.radius < 1.0 && sampling.hold_ticks > 0);
     // 1 kHz is not proven beforehand.
     assert!(sampling.proven.is_some_and(|p| p.age_s < 1e-3), "{:?}", sampling.proven);
-    assert!(sampling.render().contains("left to the live check"));
+    assert!(sampling.render(LawKind::Robust).contains("left to the live check"));
 }
 
 /// The latency side alone.
@@ -139,7 +139,7 @@ fn the_limits_of_delay_and_period_separate_stable_from_unstable_when_they_are_tr
 #[test]
 fn a_latency_beyond_the_boundary_is_called_unstable_by_rule_and_radius() {
     let late = sampled(&Scenario::default(), 2e-3);
-    assert!(late.budget.unwrap().used > 1.0 && late.radius > 1.0 && late.render().contains("UNSTABLE"));
+    assert!(late.budget.unwrap().used > 1.0 && late.radius > 1.0 && late.render(LawKind::Robust).contains("UNSTABLE"));
 }
 
 #[test]
@@ -229,4 +229,38 @@ fn computed_torque_is_judged_by_its_spectral_radius_alone() {
     let sampling = of(&with(&["controller.law=ctc"]), 1e-3).sampling;
     assert!(sampling.budget.is_none() && sampling.radius < 1.0);
     assert!(sampling.to_json()["budget"].is_null() && sampling.radius_margin.seconds() > 1e-3);
+}
+
+#[test]
+fn every_number_of_a_certificate_has_a_key_and_a_unit_in_every_law_and_zero_is_a_value() {
+    let keys = |json: &Value, part: &str| json[part].as_object().unwrap().keys().cloned().collect::<Vec<_>>();
+    let all = keys(&answer(&[]).to_json(), "certificate");
+    for law in LawKind::ALL {
+        let json = answer(&[&format!("controller.law={law}")]).to_json();
+        assert_eq!((keys(&json, "certificate"), keys(&json, "units")), (all.clone(), all.clone()), "{law}");
+        // What the law does not have is null, and nothing else of these.
+        let (on_r, pd) = (law != LawKind::Ctc, matches!(law, LawKind::Ctc | LawKind::PdG));
+        for (key, has) in [("beta", on_r), ("k_t", on_r), ("c1", on_r), ("k_p", pd), ("k_d", pd), ("level", true)] {
+            assert_eq!(json["certificate"][key].is_number(), has, "{law} {key}");
+        }
+        let energy = law != LawKind::Ctc;
+        let unit = |key: &str| json["units"][key].as_str().unwrap().to_owned();
+        assert_eq!([unit("level"), unit("epsilon")], if energy { ["J", "J/s"] } else { ["rad²/s²", "rad²/s³"] });
+    }
+    // An exact model and no disturbance: there is nothing to cover, and that is said.
+    let exact = answer(&["controller.law=robust-ff"]);
+    let zero = [("c1", "N·m"), ("epsilon", "J/s"), ("ultimate_e_rad", "rad"), ("ultimate_e_link_rad", "rad")];
+    for (key, unit) in zero {
+        assert_eq!(exact.to_json()["certificate"][key], json!(0.0), "{key}");
+        let line = format!("  {key:<20}{:>12.5}  {unit}", 0.0);
+        assert!(exact.render().contains(&line), "{line}");
+    }
+}
+
+#[test]
+fn the_proven_error_of_one_link_is_the_largest_that_v_leaves_to_it() {
+    let c = answer(&[]).certification.certificate;
+    // With r = 0 all of V may be the error of one link.
+    let v = 0.5 * c.p * c.ultimate_e_link() * c.ultimate_e_link();
+    assert!((v - c.v_ultimate()).abs() < 1e-12 * v, "{v} is not {}", c.v_ultimate());
 }

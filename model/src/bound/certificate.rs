@@ -146,15 +146,15 @@ pub struct Certificate {
     pub r_rate: f64,
     /// Coefficient of |e|² in the promised rate of V.
     pub e_rate: f64,
-    /// ε, 1/s in units of V. \[8]
+    /// ε, in units of V a second. \[8]
     pub epsilon: f64,
     /// α, 1/s.
     pub alpha: f64,
     /// ‖W‖ with W = (e, r): outside of this radius V falls. (20)
     pub w_norm: f64,
-    /// limsup |e|, rad. \[9]
+    /// limsup ‖e‖ over all links, rad. \[9]
     pub ultimate_e: f64,
-    /// limsup |r|, rad/s. \[9]
+    /// limsup ‖r‖ over all links, rad/s. \[9]
     pub ultimate_r: f64,
     /// λ̲, kg·m².
     pub lambda_lo: f64,
@@ -216,6 +216,13 @@ impl Certificate {
     #[must_use]
     pub fn v_ultimate(&self) -> f64 {
         if self.alpha > 0.0 { self.epsilon / self.alpha } else { f64::INFINITY }
+    }
+
+    /// limsup |e_i| of each link, rad. V weighs the links' errors alike, so within {V ≤ v} one link alone may have all of ‖e‖: the
+    /// bound of the norm is the bound of each link, and no better one follows from V.
+    #[must_use]
+    pub fn ultimate_e_link(&self) -> f64 {
+        self.ultimate_e
     }
 
     /// Where every number that comes over the wire must lie.

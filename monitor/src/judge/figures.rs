@@ -4,6 +4,7 @@
 use loopbound_model::bound::certificate::Certificate;
 use loopbound_model::bound::diagnose::{IntervalDiagnosis, Verdict};
 use loopbound_model::bound::stability::sampling_budget_with_jitter;
+use loopbound_model::bound::units::Units;
 use loopbound_model::law::LawKind;
 
 use super::CertifiedLaw;
@@ -236,6 +237,8 @@ impl Counts {
 fn put_certificate<const N: usize>(summary: &mut BoundSummary, claim: &CertifiedLaw<N>) {
     let certificate = &claim.certificate;
     summary.law = Some(claim.law.kind.name().to_owned());
+    let units = Units::of(claim.law.kind);
+    (summary.v_unit, summary.psi_unit) = (Some(units.v.to_owned()), Some(units.psi.to_owned()));
     summary.certified = certificate.is_certified();
     summary.shortfalls.clone_from(&claim.shortfalls);
     summary.level = finite(certificate.level);
@@ -247,6 +250,7 @@ fn put_certificate<const N: usize>(summary: &mut BoundSummary, claim: &Certified
         summary.c1 = finite(certificate.psi_allowed());
         summary.uub_radius = finite(certificate.w_norm);
         summary.ultimate_bound = finite(certificate.ultimate_e);
+        summary.ultimate_bound_link = finite(certificate.ultimate_e_link());
     }
 }
 

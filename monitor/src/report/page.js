@@ -23,6 +23,10 @@ function number(x, digits = 4) {
   if (x !== 0 && (size < 1e-3 || size >= 1e6)) return x.toExponential(Math.min(digits, 3) - 1).replace(/\.?0+e/, 'e').replace('e+', 'e').replace(/^1e/, '10^');
   return String(+x.toPrecision(digits));
 }
+function withUnit(x, unit) {
+  const text = number(x, 3);
+  return text === '–' || !unit ? text : `${text} ${esc(unit)}`;
+}
 function duration(ns) {
   if (ns === null || ns === undefined) return '–';
   if (ns >= 1e9) return `${number(ns / 1e9, 3)} s`;
@@ -238,8 +242,8 @@ function head(run, at) {
     ['rate', `${number(s.rate_hz)} Hz`], ['ticks seen', number(s.ticks_seen, 9)], ['missed', number(s.missed_ticks, 9), s.missed_ticks ? 'warn' : ''],
     ['late', number(s.late_ticks, 9), s.late_ticks ? 'warn' : ''], [s.latency_is_virtual ? 'round trip p50 (virtual)' : 'round trip p50', duration(trip.p50)],
     ['p99', duration(trip.p99)], ['p99.9', duration(trip.p99_9)], ['max', duration(trip.max)],
-    ['largest |e| once settled', `${number(s.tracking?.max_abs_e_rad, 3)} rad`],
-    ['bound violated, ticks', number(b.violations, 9), b.violations > (b.verdicts?.designed_hold ?? 0) ? 'bad' : ''], ['least slack of the promise', number(b.slack_min, 3)],
+    ['largest |e<sub>i</sub>| of one link, settled', `${number(s.tracking?.max_abs_e_rad, 3)} rad`], ['largest ‖e‖ of all links, settled', `${number(s.tracking?.max_norm_e_rad, 3)} rad`],
+    ['bound violated, ticks', number(b.violations, 9), b.violations > (b.verdicts?.designed_hold ?? 0) ? 'bad' : ''], ['least slack of the promise', withUnit(b.slack_min, b.v_unit)],
     ['latency budget used', b.budget_used === null || b.budget_used === undefined ? '–' : `${number(100 * b.budget_used, 3)} %`, b.budget_used >= 1 ? 'warn' : ''],
   ];
   add(at, `<div class="tiles">${tiles.map(([name, value, mood = '']) => `<div class="tile ${mood}"><b>${value}</b><span>${name}</span></div>`).join('')}</div>`);
@@ -277,10 +281,10 @@ function bound(run, at) {
   const vAt = time => { let k = t.findIndex(x => x > time); k = k < 0 ? t.length - 1 : k - 1; return high[Math.max(k, 0)] ?? null; };
   const dots = broken.map(e => ({ t: e.t_s, y: e.v ?? vAt(e.t_s) ?? 1, colour: e.verdict === 'designed_hold' ? colour(2) : 'var(--bad)', text: describe(e) }));
   add(at, legend(lines));
-  at.append(overTime(run, { unit: 'V (log)', lines, dots, marks: marksOf(run), yLog: true, height: 260 }));
+  at.append(overTime(run, { unit: `V${run.summary.bound?.v_unit ? ', ' + run.summary.bound.v_unit : ''} (log)`, lines, dots, marks: marksOf(run), yLog: true, height: 260 }));
   const laws = run.summary.bound?.laws ?? [];
-  if (laws.length) add(at, table(['law', 'controllers', 'ticks', 'V max', 'c', 'bound broken', 'Ψ max', 'C1, N·m', '|W| settled', 'proven', '|e| proven, rad'], laws.map(l =>
-    [esc(whose(l)), l.controllers.join(', '), String(l.ticks), number(l.v_max), number(l.level), `${l.violations} of ${l.checked}`, number(l.psi_max), number(l.c1), number(l.w_norm_max_settled), number(l.uub_radius), number(l.ultimate_bound)])));
+  if (laws.length) add(at, table(['law', 'controllers', 'ticks', 'V max', 'c', 'bound broken', 'Ψ max', 'C1 (ctc: η0)', '‖W‖ settled', '‖W‖ proven', '‖e‖ of all links proven, rad', '|e_i| of each link proven, rad'], laws.map(l =>
+    [esc(whose(l)), l.controllers.join(', '), String(l.ticks), withUnit(l.v_max, l.v_unit), withUnit(l.level, l.v_unit), `${l.violations} of ${l.checked}`, withUnit(l.psi_max, l.psi_unit), withUnit(l.c1, l.psi_unit), number(l.w_norm_max_settled), number(l.uub_radius), number(l.ultimate_bound), number(l.ultimate_bound_link ?? l.ultimate_bound)])));
   if (broken.length) {
     const rows = broken.slice(0, 200).map(e => [e.tick, number(e.t_s, 6), e.kind === 'bound' ? words(e.verdict) : 'promise (a)', e.kind === 'bound'
       ? `X = ${number(e.x)}, ∫L = ${number(e.int_l)}, ∫F = ${number(e.int_f)}: ${esc(WHY[e.verdict] ?? '')}` : `V = ${number(e.v)} where ${number(e.v_bound)} was promised`]);
@@ -292,8 +296,8 @@ function slack(run, at) {
   if (b.slack_min == null) { add(at, '<p class="note">Nothing was promised here.</p>'); return; }
   const line = { name: 'promised V − V', at: 4 * (run.summary.links ?? 0) + 4, colour: colour(2) };
   at.append(overTime(run, { unit: 'log', lines: [line], marks: marksOf(run), yLog: true, height: 160 }));
-  const most = b.epsilon == null ? '' : `; ε h = ${number(b.epsilon / run.summary.rate_hz, 3)} is what the worst uncertainty may add in a tick`;
-  add(at, `<p class="note">Least ${number(b.slack_min, 3)}, mean ${number(b.slack_mean, 3)} a tick${most}.</p>`);
+  const most = b.epsilon == null ? '' : `; ε h = ${withUnit(b.epsilon / run.summary.rate_hz, b.v_unit)} is what the worst uncertainty may add in a tick`;
+  add(at, `<p class="note">Least ${withUnit(b.slack_min, b.v_unit)}, mean ${withUnit(b.slack_mean, b.v_unit)} a tick${most}.</p>`);
 }
 function latency(run, at) {
   add(at, legend(HOPS.map((hop, i) => ({ name: hop.replace(/_/g, ' '), colour: colour(i) }))));

@@ -321,13 +321,16 @@ fn tracking_errors_count_once_settled() {
     let off = |tick: u64, e: f64| {
         let mut record = good(tick);
         (record.q_d[1], record.q[1], record.v_d[0]) = (e, 0.0, -2.0 * e);
+        (record.q_d[2], record.q[2], record.v_d[2]) = (0.0, 0.75 * e, 1.5 * e);
         record
     };
     feed_all(&mut tracker, [off(9, 100.0), off(10, 3.0), off(11, -4.0)]);
     let tracking = tracker.summarise().tracking;
     assert_eq!((tracking.n, tracking.max_abs_e_rad, tracking.max_abs_ed_rad_s), (2, Some(4.0), Some(8.0)));
-    // Two ticks of three links: sqrt((9 + 16)/6).
-    assert!((tracking.rms_e_rad.unwrap() - (25.0f64 / 6.0).sqrt()).abs() < 1e-12);
+    // Links of 4 and 3 rad, of 8 and 6 rad/s: the norm is neither's.
+    assert_eq!((tracking.max_norm_e_rad, tracking.max_norm_ed_rad_s), (Some(5.0), Some(10.0)));
+    // Two ticks of three links: sqrt((9 + 16)(1 + 9/16)/6).
+    assert!((tracking.rms_e_rad.unwrap() - (25.0f64 * 1.5625 / 6.0).sqrt()).abs() < 1e-12);
     let mut unsettled = Tracker::<3>::new(Config { settle_ns: u64::MAX, ..config() }, None);
     feed_all(&mut unsettled, [good(0)]);
     assert_eq!(unsettled.summarise().tracking, Tracking::default());
