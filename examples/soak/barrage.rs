@@ -169,13 +169,14 @@ impl Plan {
     fn start(&self, executable: &Path, place: &Place, work: &Path, errors: &File) -> anyhow::Result<Child> {
         let mut command = Command::new(executable);
         command.args(["run", "--group", &place.group, "--quiet", "--out"]).arg(work.join("out"));
-        command.args(&self.arguments);
+        // At this rate the default law runs away.
+        command.args(["--law", "ctc"]).args(&self.arguments);
         if self.wrapped {
             let script = format!("#!/bin/sh\nsleep {} &\n{} controller \"$@\"\n", place.word, executable.display());
             let wrapper = work.join("wrapper");
             fs::write(&wrapper, script)?;
             fs::set_permissions(&wrapper, fs::Permissions::from_mode(0o755))?;
-            command.args(["--set", &format!("controller.exe={}", wrapper.display()), "--law", "ctc"]);
+            command.args(["--set", &format!("controller.exe={}", wrapper.display())]);
         }
         command.env("LOOPBOUND_RUNTIME_DIR", &place.folder).current_dir(work);
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(errors.try_clone()?);

@@ -41,5 +41,5 @@ pub(crate) fn run(groups: u64, first: u64, seed: u64) -> anyhow::Result<u32> {
 }
 
 fn word(signal: Signal) -> String {
-    format!("{signal:?}").replace("Signal::", "")
+    format!("{signal:?}").replace("Signal::", "").replace('"', "")
 }

@@ -75,6 +75,38 @@ fn a_signal_ends_what_a_wrapper_started() {
     assert_nobody_left(&case);
 }
 
+/// A shell script that detaches the controller twice over, and ends.
+fn daemon(case: &Case, arguments: &str) -> PathBuf {
+    let executable = env!("CARGO_BIN_EXE_loopbound");
+    let script = format!(
+        "#!/bin/sh\n(setsid {executable} controller \"$@\" {arguments} &)\n(setsid sleep {} &)\nsleep 2\n",
+        word(case)
+    );
+    executable_file(case, "daemon", &script)
+}
+
+#[test]
+fn a_wrapper_that_detaches_its_controller_is_named_and_what_it_detached_ends() {
+    let case = Case::new("daemon");
+    let controller = format!("[controller]\nexe = {:?}\nlaw = \"ctc\"\n", daemon(&case, ""));
+    let ended = case.run(&format!("{FOREVER}{controller}"), &[]).wait();
+    assert_eq!(ended.code, Some(5), "{ended:?}");
+    assert!(ended.err.contains("controller 1 did not start") && ended.err.contains("detach"), "{ended:?}");
+    assert_nobody_left(&case);
+    // The same as a candidate: it is refused, and the run goes on.
+    let mut running = case.run(&format!("{FOREVER}[controller]\nlaw = \"ctc\"\n"), &[]);
+    running.wait_until_active();
+    let exe = daemon(&case, "--law pd+g");
+    let exe = exe.to_str().expect("a path in UTF-8");
+    let answer = case.output(&["swap", "--group", &case.group, "--exe", exe, "--force", "--json"]);
+    assert_eq!(answer.code, Some(4), "{answer:?}");
+    assert!(answer.json()["reason"].as_str().is_some_and(|reason| reason.contains("detach")), "{answer:?}");
+    assert!(running.runs());
+    running.signal(Signal::INT);
+    assert_eq!(running.wait().code, Some(130));
+    assert_nobody_left(&case);
+}
+
 #[test]
 fn a_killed_launcher_leaves_nobody_behind_a_wrapper() {
     let case = Case::new("wrapped-kill");

@@ -24,7 +24,8 @@ const WRAPPERS_MAX: usize = 32;
 /// the parent reaches this process by whoever ends those.
 ///
 /// # Errors
-/// `NotFound` if the parent has died already, before the kernel could be asked: the child should end at once.
+/// `NotFound` if the parent has died already, before the kernel could be asked, or if this process was detached from it,
+/// so that the parent's end would not reach it: the child should end at once.
 pub fn die_with_parent(expected_parent_pid: u32) -> io::Result<()> {
     set_parent_process_death_signal(Some(Signal::TERM))?;
     // The order matters: a parent that dies after the request is signalled, one that died before shows here.
@@ -38,7 +39,18 @@ pub fn die_with_parent(expected_parent_pid: u32) -> io::Result<()> {
             None => break,
         }
     }
-    Err(io::Error::new(io::ErrorKind::NotFound, format!("the parent process {expected_parent_pid} has ended")))
+    let why = if lives(expected_parent_pid) {
+        "is not above this one: a program that starts it may not detach it and end (`setsid`, `&`, a daemon)"
+    } else {
+        "has ended"
+    };
+    Err(io::Error::new(io::ErrorKind::NotFound, format!("the parent process {expected_parent_pid} {why}")))
+}
+
+fn lives(pid: u32) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+    let state = stat.rsplit_once(')').and_then(|(_, rest)| rest.split_ascii_whitespace().next());
+    state.is_some_and(|state| !matches!(state, "Z" | "X" | "x"))
 }
 
 /// The parent of a process; none for the first one, or one that has ended.
