@@ -1,5 +1,5 @@
 //! The documents say what the tree says: the code map of ARCHITECTURE.md, the keys of docs/scenario.md, and the headlines of
-//! docs/exit-codes.md.
+//! docs/exit-codes.md. Every command has its line, every link leads somewhere, and one thing has one word.
 //!
 //! The map is made of the files' own first sentences. After a change, `UPDATE_DOCUMENTS=1 cargo test --test documents`
 //! writes it and the table of headlines anew.
@@ -8,6 +8,8 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use clap::CommandFactory as _;
+use loopbound::cli::Cli;
 use loopbound_shared::headline::Headline;
 
 const CRATES: [&str; 8] =
@@ -192,4 +194,149 @@ fn the_reference_of_keys_has_every_key_with_its_default() {
         }
     }
     assert!(document.is_empty(), "no such keys: {document:?}");
+}
+
+/// The documents, each without its blocks of code, by their paths from the root.
+fn documents() -> BTreeMap<String, String> {
+    let pages = entries(&root().join("docs"));
+    let pages = pages.into_iter().filter(|path| path.extension().is_some_and(|extension| extension == "md"));
+    let pages = pages.map(|path| format!("docs/{}.md", stem(&path)));
+    let names = ["README.md", "ARCHITECTURE.md", "CHANGELOG.md"].map(str::to_owned);
+    names.into_iter().chain(pages).map(|name| (name.clone(), without_code(&read(&root().join(name))))).collect()
+}
+
+fn without_code(text: &str) -> String {
+    let mut inside = false;
+    let mut outside = String::new();
+    for line in text.lines() {
+        if line.starts_with("```") {
+            inside = !inside;
+        } else if !inside {
+            outside.push_str(line);
+            outside.push('\n');
+        }
+    }
+    outside
+}
+
+/// The name by which a heading is linked: as GitHub makes it.
+fn anchor(heading: &str) -> String {
+    let kept = heading.trim().to_lowercase();
+    let kept = kept.chars().filter(|c| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_'));
+    kept.map(|c| if c == ' ' { '-' } else { c }).collect()
+}
+
+fn anchors(text: &str) -> Vec<String> {
+    let headings = text.lines().filter(|line| line.starts_with('#')).map(|line| line.trim_start_matches('#'));
+    headings.map(anchor).collect()
+}
+
+/// What is wrong with a link from one document to a place in the tree; nothing for a link that leads somewhere.
+fn broken(from: &str, target: &str, documents: &BTreeMap<String, String>) -> Option<String> {
+    if target.starts_with("http") {
+        return None;
+    }
+    let (path, heading) = target.split_once('#').map_or((target, None), |(path, heading)| (path, Some(heading)));
+    let folder = root().join(from).parent().expect("a document lies in a folder").to_owned();
+    let file = if path.is_empty() { root().join(from) } else { folder.join(path) };
+    let Ok(file) = file.canonicalize() else { return Some(format!("{from}: there is no {path}")) };
+    let name = file.strip_prefix(root().canonicalize().expect("the root is there")).ok()?.display().to_string();
+    let heading = heading?;
+    let text = documents.get(&name)?;
+    let missing = !anchors(text).iter().any(|anchor| anchor == heading);
+    missing.then(|| format!("{from}: {name} has no heading #{heading}"))
+}
+
+#[test]
+fn every_link_of_the_documents_leads_somewhere() {
+    let documents = documents();
+    let mut links = 0;
+    let mut wrong = Vec::new();
+    for (name, text) in &documents {
+        for (at, _) in text.match_indices("](") {
+            let target = text[at + 2..].split(')').next().expect("a split has a first part");
+            links += 1;
+            wrong.extend(broken(name, target, &documents));
+        }
+    }
+    assert!(links > 60, "only {links} links: they are not where this test looks");
+    assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
+#[test]
+fn a_link_to_a_missing_page_or_heading_is_found() {
+    let documents = documents();
+    for wrong in ["docs/no-such-page.md", "docs/limits.md#no-such-heading", "#no-such-heading"] {
+        assert!(broken("README.md", wrong, &documents).is_some(), "{wrong}");
+    }
+    for right in ["docs/limits.md", "docs/limits.md#transport", "#set-up", "docs/img/report-light.png"] {
+        assert_eq!(broken("README.md", right, &documents), None);
+    }
+}
+
+#[test]
+fn every_command_has_an_example_in_the_page_of_commands() {
+    let page = read(&root().join("docs/commands.md"));
+    for command in Cli::command().get_subcommands().filter(|command| !command.is_hide_set()) {
+        let name = command.get_name();
+        assert!(page.contains(&format!("loopbound {name}")), "docs/commands.md does not show `loopbound {name}`");
+    }
+}
+
+/// Words that a reader has to guess at, each with the word that is used for the same thing.
+const SAID_OTHERWISE: [(&str, &str); 12] = [
+    ("befall", "target, inject"),
+    ("put down to", "attribute to"),
+    ("laid to", "attribute to"),
+    ("in charge", "active"),
+    ("on watch", "standby"),
+    ("taken back", "rolled back"),
+    ("takes it back", "rolls it back"),
+    ("take back", "roll back"),
+    ("sweep up", "clean up"),
+    ("swept", "removed"),
+    (" mends", "fixes"),
+    ("goes wrong on purpose", "injected fault"),
+];
+
+/// A word that is wanted may be broken over two lines.
+fn words_said_otherwise(text: &str) -> Vec<String> {
+    let text = text.split_whitespace().collect::<Vec<_>>().join(" ").to_lowercase();
+    let found = SAID_OTHERWISE.iter().filter(|(word, _)| text.contains(word));
+    found.map(|(word, right)| format!("\"{}\" is said as: {right}", word.trim())).collect()
+}
+
+fn without_maps(text: &str) -> String {
+    let parts = text.split("<!-- map: ").enumerate();
+    parts
+        .map(
+            |(i, part)| if i == 0 { part } else { part.split_once("<!-- end of map -->").map_or("", |(_, rest)| rest) },
+        )
+        .collect()
+}
+
+#[test]
+fn one_thing_has_one_word_in_the_documents() {
+    for (name, text) in documents() {
+        // What has changed is told by the words of its time, and the code map by those of the files.
+        if name == "CHANGELOG.md" {
+            continue;
+        }
+        assert_eq!(words_said_otherwise(&without_maps(&text)), Vec::<String>::new(), "{name}");
+    }
+    assert_eq!(words_said_otherwise("The fault befalls it, and is put\ndown to the host").len(), 2);
+}
+
+#[test]
+fn the_twelve_lines_of_the_first_page_are_of_the_whole_screen_and_have_a_note_each() {
+    let readme = read(&root().join("README.md"));
+    let screen = readme.split("```text\n").nth(1).and_then(|rest| rest.split("```").next()).expect("a screen");
+    let whole = read(&root().join("docs/screen.md"));
+    for line in screen.lines() {
+        let (shown, note) = line.split_once('←').unwrap_or_else(|| panic!("no note: {line}"));
+        let shown = shown.split('…').next().expect("a split has a first part").trim_end();
+        assert!(whole.contains(shown), "docs/screen.md has no line {shown}");
+        assert!(!note.trim().is_empty(), "an empty note: {line}");
+    }
+    assert_eq!(screen.lines().count(), 12);
 }
