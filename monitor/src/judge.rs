@@ -7,6 +7,7 @@
 mod figures;
 
 use loopbound_model::bound::certificate::{Certificate, Gains, certify};
+use loopbound_model::bound::coverage::{Surroundings, gaps};
 use loopbound_model::bound::diagnose::{Diagnosis, IntervalDiagnosis, Segment, Verdict};
 use loopbound_model::bound::envelope::Assumptions;
 use loopbound_model::chain::Chain;
@@ -40,6 +41,8 @@ struct CertifiedLaw<const N: usize> {
     law: Law<N>,
     certificate: Certificate,
     shortfalls: Vec<String>,
+    /// What of the plant lies outside of what the controller declares.
+    outside: Vec<String>,
 }
 
 /// What one controller said of itself.
@@ -57,6 +60,8 @@ struct Said<const N: usize> {
 pub struct Judge<const N: usize> {
     truth: Truth<N>,
     assumptions: Assumptions<N>,
+    /// What of the loop bears on whether the plant is covered.
+    surroundings: Surroundings,
     /// The start that each law's certificate has to cover, if any.
     starts: [Option<LawInput<N>>; LawKind::ALL.len()],
     scenario_gains: [Gains; LawKind::ALL.len()],
@@ -132,6 +137,7 @@ impl<const N: usize> Judge<N> {
             starts,
             scenario_gains,
             scenario_laws: system::laws::<N>(scenario)?,
+            surroundings: system::surroundings(scenario),
             step_max_ns: scenario.loop_.max_step.ns(),
             settle_ns: scenario.loop_.settle_ns(),
             period_ns: scenario.period_ns(),
@@ -165,7 +171,9 @@ impl<const N: usize> Judge<N> {
             k_d: gains.k_d,
         };
         let shortfalls = certification.failures.iter().map(ToString::to_string).collect();
-        CertifiedLaw { law, certificate, shortfalls }
+        let gaps = gaps(&self.truth, &self.assumptions, &law, &certificate, &self.surroundings);
+        let outside = gaps.iter().map(ToString::to_string).collect();
+        CertifiedLaw { law, certificate, shortfalls, outside }
     }
 
     /// Takes what a controller says of its law. Gains other than the scenario's get a certificate of their own.

@@ -247,6 +247,9 @@ fn of_one_law(screen: &mut Screen, bound: &BoundSummary) {
         v(bound.level)
     );
     screen.entry("V", &text);
+    for outside in bound.outside.iter().filter(|_| bound.certified) {
+        screen.entry("not declared", outside);
+    }
     if bound.checked == 0 {
         screen
             .entry("bound", if bound.certified { "certified, no tick checked" } else { "not certified: not checked" });

@@ -215,6 +215,8 @@ pub struct BoundSummary {
     pub certified: bool,
     /// Requirements that are not met.
     pub shortfalls: Vec<String>,
+    /// What of the scenario's plant lies outside of what the controller declares; empty: what is certified is true of it.
+    pub outside: Vec<String>,
     /// Ticks checked with a certificate.
     pub checked: u64,
     /// Ticks with X above the tolerance while V ≤ c. \[10]

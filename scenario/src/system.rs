@@ -134,7 +134,9 @@ pub fn gaps<const N: usize>(scenario: &Scenario, kind: LawKind) -> Result<Vec<Ga
     ))
 }
 
-fn surroundings(scenario: &Scenario) -> Surroundings {
+/// What of a scenario's loop bears on whether its plant is covered.
+#[must_use]
+pub fn surroundings(scenario: &Scenario) -> Surroundings {
     Surroundings {
         period_s: Nanos(scenario.period_ns()).seconds(),
         actuation_delay_s: scenario.plant.actuation_delay.seconds(),

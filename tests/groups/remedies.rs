@@ -22,6 +22,19 @@ fn a_loop_with_what_bound_offers_holds_its_bound_in_lockstep() {
         assert_eq!(case.output(&[&["bound"][..], &set].concat()).code, Some(0), "{set:?}");
         let summary = case.run("[loop]\nmode = \"lockstep\"\nduration = \"3s\"\n", &set).wait().json_with(0);
         assert_eq!(summary["verdict"]["status"], "held", "{set:?}: {}", summary["verdict"]);
+        assert_eq!(summary["bound"]["outside"], serde_json::json!([]));
         case.assert_nothing_left();
     }
+}
+
+#[test]
+fn a_run_says_what_of_its_plant_nobody_has_declared_and_is_judged_by_what_happened() {
+    let case = Case::new("undeclared");
+    let scenario = "[loop]\nmode = \"lockstep\"\nduration = \"1s\"\n[plant]\nmass_error = 0.1\n";
+    let summary = case.run(scenario, &[]).wait().json_with(0);
+    assert_eq!(summary["verdict"]["status"], "held", "{}", summary["verdict"]);
+    let outside = summary["bound"]["outside"].as_array().expect("a list");
+    let named =
+        |line: &serde_json::Value| line.as_str().is_some_and(|line| line.contains("controller.uncertainty.mass"));
+    assert!(outside.len() == 1 && named(&outside[0]), "{outside:?}");
 }

@@ -172,9 +172,12 @@ pub fn gaps<const N: usize>(
     if certificate.is_certified() {
         on_the_level(truth, law, certificate, around, declared_nm, disturbance_nm, &mut found);
     }
-    let proven_s = proven_age(certificate).map_or(0.0, |proven| proven.age_s);
-    if around.actuation_delay_s > 0.0 && around.actuation_delay_s + around.period_s > proven_s {
-        found.push(Gap::ActuationDelay { delay_s: around.actuation_delay_s, proven_s });
+    if around.actuation_delay_s > 0.0 {
+        let (delay_s, proven_s) =
+            (around.actuation_delay_s, proven_age(certificate).map_or(0.0, |proven| proven.age_s));
+        if delay_s + around.period_s > proven_s {
+            found.push(Gap::ActuationDelay { delay_s, proven_s });
+        }
     }
     let measured = [
         ("plant.noise.q_rad", truth.noise_q_rad),

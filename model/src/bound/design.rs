@@ -10,7 +10,7 @@ use super::envelope::Envelope;
 use super::stability::{critical_rate, sampling_budget};
 
 /// Candidates that are asked whether they fit, the best first.
-const TRIES: usize = 200;
+const TRIES: usize = 60;
 
 /// What gains are sought for.
 #[derive(Clone, Copy)]
@@ -67,9 +67,10 @@ impl Task<'_> {
     /// The candidate with the least level that its start and its ε ask for; none if no level is enough. κ grows with c,
     /// so the level is raised from below.
     fn settled(&self, gains_at: impl Fn(f64) -> Option<Gains>) -> Option<Candidate> {
-        const RAISED: u32 = 16;
+        // The first look tells what the start needs. Longer steps end a chase that κ would win anyway.
+        const RAISED_BY: [f64; 8] = [1.0, 1.0, 1.02, 1.1, 1.3, 1.6, 2.0, 2.0];
         let mut level = 1e-3;
-        for raised in 0..RAISED {
+        for raised_by in RAISED_BY {
             let found = self.candidate(self.envelope, gains_at(level)?);
             let cert = &found.certificate;
             if cert.is_certified() {
@@ -80,7 +81,7 @@ impl Task<'_> {
             if !needed.is_finite() || needed <= level {
                 return None;
             }
-            level = round_up(needed * if raised < 2 { 1.0 } else { 1.02 });
+            level = round_up(needed * raised_by);
         }
         None
     }
@@ -109,30 +110,46 @@ fn distance(from: &Gains, to: &Gains) -> f64 {
     pairs.into_iter().map(|(from, to)| libm::log(to / from).abs()).sum()
 }
 
-/// β, the share K2 of K_t, and shares of the K_t that \[11] allows. What κ and K2 leave works against C1.
+/// β and shares of the K_t that \[11] allows. Of what κ leaves, K2 takes the share that is best or, where p depends on it,
+/// one of a few; the rest works against C1.
 fn of_r(task: &Task<'_>) -> Vec<Candidate> {
     let (law, envelope) = (task.law, &task.envelope);
     let rate = task.room * critical_rate(task.period_s, task.delay_s);
+    let shares: &[f64] = if law == LawKind::RobustFf && !task.gains.shared_v {
+        &[0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8]
+    } else {
+        &[f64::NAN]
+    };
     let mut found = Vec::new();
-    for step in 0..49 {
-        let beta = round_down(libm::exp2(f64::from(step) * 0.125 - 1.0));
+    for step in 0..33 {
+        let beta = round_down(libm::exp2(f64::from(step) * 0.1875 - 1.0));
         let damping = if law == LawKind::RobustFf { beta * (1.0 + envelope.rho()) } else { 0.0 };
         let most = (rate - damping) * envelope.lambda_lo();
-        for (stiff, share) in [1.0, 0.7, 0.4].into_iter().flat_map(|stiff| (1..24).map(move |share| (stiff, share))) {
+        for (stiff, share) in [1.0, 0.7, 0.4].into_iter().flat_map(|stiff| shares.iter().map(move |s| (stiff, *s))) {
             let k_t = round_down(stiff * most);
-            let k2 = round_down(k_t * f64::from(share) / 24.0);
-            found.extend(task.settled(|level| {
-                let plain = Gains { beta, level, k2, k_t: None, c1: None, ..task.gains };
-                let probe = certificate(law, envelope, &plain, None);
-                let c1 = task.c1(probe.c1_required);
-                let (left, covered) = (k_t - probe.kappa - k2, c1.unwrap_or(probe.c1_required));
-                let k3 = if covered > 0.0 { round_down(left / (covered * covered)) } else { plain.k3 };
-                let k_t = task.gains.k_t.map(|_| k_t);
-                (k2 > 0.0 && left > 0.0 && k3 > 0.0).then_some(Gains { k3, c1, k_t, ..plain })
-            }));
+            if k_t > 0.0 {
+                found.extend(task.settled(|level| shared_out(task, k_t, beta, level, share)));
+            }
         }
     }
     found
+}
+
+/// Gains that come to K_t at a level; none if κ takes all of it. A share that is no number: the best one.
+fn shared_out(task: &Task<'_>, k_t: f64, beta: f64, level: f64, share: f64) -> Option<Gains> {
+    let k2 = round_down(k_t * if share.is_nan() { 0.5 } else { share });
+    let mut plain = Gains { beta, level, k2, k_t: None, c1: None, ..task.gains };
+    let probe = certificate(task.law, &task.envelope, &plain, None);
+    if share.is_nan() {
+        // ε/α is smallest at half of what κ leaves of K_t, or where α stops growing with K2.
+        let alike = task.envelope.lambda_hi() * probe.e_rate / probe.p;
+        plain.k2 = round_down(((k_t - probe.kappa) / 2.0).min(alike));
+    }
+    let c1 = task.c1(probe.c1_required);
+    let (left, covered) = (k_t - probe.kappa - plain.k2, c1.unwrap_or(probe.c1_required));
+    let k3 = if covered > 0.0 { round_down(left / (covered * covered)) } else { plain.k3 };
+    let k_t = task.gains.k_t.map(|_| k_t);
+    (plain.k2 > 0.0 && left > 0.0 && k3 > 0.0).then_some(Gains { k3, c1, k_t, ..plain })
 }
 
 /// K_p and the damping, with the gains as they are among them.

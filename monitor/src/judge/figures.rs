@@ -241,6 +241,7 @@ fn put_certificate<const N: usize>(summary: &mut BoundSummary, claim: &Certified
     (summary.v_unit, summary.psi_unit) = (Some(units.v.to_owned()), Some(units.psi.to_owned()));
     summary.certified = certificate.is_certified();
     summary.shortfalls.clone_from(&claim.shortfalls);
+    summary.outside.clone_from(&claim.outside);
     summary.level = finite(certificate.level);
     summary.k_t = finite(claim.law.k_t).filter(|_| claim.law.kind != LawKind::Ctc);
     summary.kappa = finite(certificate.kappa).filter(|_| claim.law.kind != LawKind::Ctc);
