@@ -403,7 +403,22 @@ pub fn sweep_if_dead(name: &str) -> Result<(), GroupError> {
 /// If the runtime directory has no valid name, or is not this user's.
 pub fn clean() -> Result<Vec<String>, GroupError> {
     let dead = list()?.into_iter().filter(|g| !g.alive);
-    Ok(dead.filter_map(|g| Group::create(&g.name).ok().map(|group| group.name().to_owned())).collect())
+    let swept = dead.filter_map(|g| Group::create(&g.name).ok().map(|group| group.name().to_owned()));
+    let mut swept: Vec<String> = swept.collect();
+    swept.extend(remove_unmarked()?);
+    Ok(swept)
+}
+
+/// Removes the folders of groups whose maker or last member was killed when there was no mark in them yet, or any more:
+/// they are empty. Only where this program has made all that is there; somebody's own folder may be empty on purpose.
+fn remove_unmarked() -> Result<Vec<String>, GroupError> {
+    let Some(runtime) = Folder::runtime(false)?.filter(Folder::is_made_here) else { return Ok(Vec::new()) };
+    let names = runtime.entries().map_err(|e| runtime.error("", e))?;
+    let names = names.into_iter().filter_map(|name| name.into_string().ok()).filter(|name| check_name(name).is_ok());
+    // Whoever is making one just now makes it again.
+    let removed = names.filter(|name| runtime.remove_folder(name).is_ok()).collect();
+    runtime.remove_runtime();
+    Ok(removed)
 }
 
 #[cfg(test)]

@@ -110,6 +110,29 @@ fn clean_removes_nothing_of_an_ordinary_folder_that_the_variable_names() {
 }
 
 #[test]
+fn clean_removes_what_a_launcher_left_that_was_killed_before_its_groups_mark() {
+    let case = Case::apart("unmarked");
+    let clean = || case.output(&["clean"]);
+    // Somebody's own runtime directory may have empty folders.
+    let unmarked = case.group_folder();
+    fs::create_dir_all(&unmarked).expect("a folder");
+    close_to_others(case.runtime_folder());
+    assert_eq!(clean().out, "nothing to clean\n");
+    assert!(unmarked.exists());
+    // One that loopbound has made has none but those.
+    fs::write(case.runtime_folder().join(".loopbound"), "").expect("the mark of the runtime directory");
+    let full = case.runtime_folder().join("full");
+    precious(&full);
+    let ended = clean();
+    assert_eq!((ended.code, ended.out), (Some(0), format!("cleaned {}\n", case.group)));
+    assert_kept(&full);
+    fs::remove_dir_all(&full).expect("the end of the folder");
+    fs::create_dir(&unmarked).expect("a folder");
+    clean();
+    case.assert_nothing_left();
+}
+
+#[test]
 fn a_runtime_folder_without_an_absolute_path_is_refused_by_every_command_that_needs_one() {
     let case = Case::new("relative");
     precious(case.work.path());

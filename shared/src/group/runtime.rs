@@ -74,6 +74,11 @@ impl Folder {
         Ok(Some(folder))
     }
 
+    /// Whether this program has made it, and so all that is in it.
+    pub(super) fn is_made_here(&self) -> bool {
+        self.open_file(MADE_HERE).is_ok()
+    }
+
     /// Removes the runtime directory if this program has made it and nothing is in it.
     pub(super) fn remove_runtime(&self) {
         if self.entries().is_ok_and(|names| names.len() == 1 && names[0].as_bytes() == MADE_HERE.as_bytes())
