@@ -1,5 +1,6 @@
 //! `loopbound check`: verdicts on recorded runs, and what is written of any verdict.
 
+use loopbound_model::quote;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -38,7 +39,7 @@ pub struct CheckArgs {
 pub(crate) fn read(folder: &Path, name: &str) -> Result<String, Failure> {
     let path = folder.join(name);
     input::read_file_text(&path, input::FIGURES_BYTES_MAX)
-        .map_err(|e| Failure::usage(format!("{}: {e}", path.display())))
+        .map_err(|e| Failure::usage(format!("{}: {e}", quote::path(&path))))
 }
 
 /// The blocks of a recorded run.
@@ -47,7 +48,7 @@ pub(crate) fn read(folder: &Path, name: &str) -> Result<String, Failure> {
 /// If there are none, or they can't be understood.
 pub fn read_blocks(folder: &Path) -> Result<Blocks, Failure> {
     let text = read(folder, blocks::FILE)?;
-    Blocks::from_text(&text).map_err(|e| Failure::usage(format!("{}: {e}", folder.join(blocks::FILE).display())))
+    Blocks::from_text(&text).map_err(|e| Failure::usage(format!("{}: {e}", quote::path(&folder.join(blocks::FILE)))))
 }
 
 /// Judges a recorded run.
@@ -65,12 +66,12 @@ pub fn check(args: &CheckArgs) -> anyhow::Result<Exit> {
     }
     let path = args.run.join("summary.json");
     let mut summary: Summary = serde_json::from_str(&read(&args.run, "summary.json")?)
-        .map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
+        .map_err(|e| Failure::usage(format!("{}: {e}", quote::path(&path))))?;
     let section = match &args.expect {
         Some(path) => {
             let text = input::read_text(path, input::SCENARIO_BYTES_MAX)
-                .map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
-            ExpectSection::from_toml(&text, &path.display().to_string())?
+                .map_err(|e| Failure::usage(format!("{}: {e}", quote::path(path))))?;
+            ExpectSection::from_toml(&text, &quote::path(path))?
         }
         None => recorded_scenario(&read(&args.run, known::SCENARIO)?, &args.run)?.expect,
     };
@@ -144,7 +145,7 @@ fn write_junit(path: &Path, summary: &Summary, folder: &Path) -> anyhow::Result<
     if in_folder {
         return Ok(Look::rewrite(folder, reports::FILE, text.as_bytes()).map_err(|e| Failure::usage(e.to_string()))?);
     }
-    write_whole(path, text.as_bytes()).with_context(|| path.display().to_string())
+    write_whole(path, text.as_bytes()).with_context(|| quote::path(path))
 }
 
 /// The table of expectations, if there are any.

@@ -3,6 +3,7 @@
 //! Responsible for which runs may stand beside each other and for saying in what they differ; the ratios are
 //! [`comparison`]'s.
 
+use loopbound_model::quote;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -95,7 +96,7 @@ pub fn run(args: &CompareArgs) -> anyhow::Result<Exit> {
 
 fn summary(folder: &Path) -> Result<Summary, Failure> {
     serde_json::from_str(&read(folder, known::SUMMARY)?)
-        .map_err(|error| Failure::usage(format!("{}: {error}", folder.join(known::SUMMARY).display())))
+        .map_err(|error| Failure::usage(format!("{}: {error}", quote::path(&folder.join(known::SUMMARY)))))
 }
 
 /// Virtual latencies are what was injected; those of a machine are what was measured.

@@ -85,7 +85,7 @@ struct Complaint {
 /// # Errors
 /// If the scenario is refused, or standard input fails.
 pub fn run(args: &ModelArgs) -> anyhow::Result<Exit> {
-    let scenario = args.scenario.load()?;
+    let scenario = args.scenario.load_system(true)?;
     answer_all(&scenario, std::io::stdin().lock(), &mut BufWriter::new(say::stdout()))
 }
 

@@ -3,6 +3,7 @@
 //! What only makes a run better is no need: the privileges of real time are noted and reported, and cores that are not
 //! there are named in [`notes`].
 
+use loopbound_model::quote;
 use std::path::Path;
 
 use loopbound_scenario::controllers;
@@ -61,7 +62,10 @@ fn check_proc(own: &Path) -> Result<(), Failure> {
     let found = std::fs::read_link(own).map(|_| ());
     found.map_err(|error| {
         let mount = "mount it (mount -t proc proc /proc), in the PID namespace of this process";
-        lacking(format!("/proc is needed to start the processes of a group, and {}: {error}: {mount}", own.display()))
+        lacking(format!(
+            "/proc is needed to start the processes of a group, and {}: {error}: {mount}",
+            quote::path(own)
+        ))
     })
 }
 

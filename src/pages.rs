@@ -1,5 +1,6 @@
 //! Shell completions and manual pages, made from the definition of the command line.
 
+use loopbound_model::quote;
 use std::io::Write as _;
 use std::path::Path;
 
@@ -27,8 +28,8 @@ pub fn completions(shell: Shell, command: &mut clap::Command) -> anyhow::Result<
 /// If the folder can't be written.
 pub fn manual(folder: Option<&Path>, command: clap::Command) -> anyhow::Result<Exit> {
     if let Some(folder) = folder {
-        std::fs::create_dir_all(folder).with_context(|| format!("{}", folder.display()))?;
-        clap_mangen::generate_to(command, folder).with_context(|| format!("{}", folder.display()))?;
+        std::fs::create_dir_all(folder).with_context(|| quote::path(folder))?;
+        clap_mangen::generate_to(command, folder).with_context(|| quote::path(folder))?;
     } else {
         let mut text = Vec::new();
         clap_mangen::Man::new(command).render(&mut text)?;

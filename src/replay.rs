@@ -5,6 +5,7 @@
 
 pub mod engine;
 
+use loopbound_model::quote;
 use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -159,7 +160,7 @@ fn verdict_recorded(run: &Path, whole: bool) -> Result<Option<String>, Failure> 
     let text = input::read_file(&path, input::SUMMARY_BYTES_MAX).map_err(|error| error.to_string());
     match text.and_then(|text| serde_json::from_slice::<Summary>(&text).map_err(|error| error.to_string())) {
         Ok(summary) => Ok(Some(summary.verdict.status)),
-        Err(error) if whole => Err(Failure::usage(format!("{}: {error}", path.display()))),
+        Err(error) if whole => Err(Failure::usage(format!("{}: {error}", quote::path(&path)))),
         Err(_) => Ok(None),
     }
 }
@@ -169,7 +170,7 @@ fn recording_path(run: &Path) -> PathBuf {
 }
 
 fn refuse(path: &Path, error: &ReadError) -> Failure {
-    Failure::usage(format!("{}: {error}", path.display()))
+    Failure::usage(format!("{}: {error}", quote::path(path)))
 }
 
 /// The scenario with what is to be otherwise; the time grid, the motion and the number of links stay as recorded.

@@ -1,5 +1,6 @@
 //! `loopbound report`: the page of a recorded run, or of two side by side.
 
+use loopbound_model::quote;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
@@ -45,9 +46,9 @@ pub fn run(args: &ReportArgs) -> anyhow::Result<Exit> {
     if path == args.run.join(FILE) {
         Look::rewrite(&args.run, FILE, text.as_bytes()).map_err(usage)?;
     } else {
-        write_whole(&path, text.as_bytes()).with_context(|| path.display().to_string())?;
+        write_whole(&path, text.as_bytes()).with_context(|| quote::path(&path))?;
     }
-    say::out!("{}", path.display());
+    say::out!("{}", quote::whole_path(&path));
     for look in looks.iter().filter(|look| !look.is_whole()) {
         say::err!("loopbound: {}", look.headline());
     }

@@ -1,5 +1,6 @@
 //! `loopbound run`: from a scenario to one screen.
 
+use loopbound_model::quote;
 use std::io::Write as _;
 use std::path::PathBuf;
 
@@ -122,8 +123,8 @@ fn scenario(args: &RunArgs) -> anyhow::Result<Scenario> {
     let mut scenario = args.scenario.load_system(args.quiet)?;
     if let Some(path) = &args.expect {
         let text = input::read_text(path, input::SCENARIO_BYTES_MAX)
-            .map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
-        scenario.expect = ExpectSection::from_toml(&text, &path.display().to_string())?;
+            .map_err(|e| Failure::usage(format!("{}: {e}", quote::path(path))))?;
+        scenario.expect = ExpectSection::from_toml(&text, &quote::path(path))?;
     }
     expectations::validate(&scenario.expect).map_err(|e| Failure::usage(format!("expect: {e}")))?;
     Ok(scenario)

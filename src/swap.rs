@@ -1,5 +1,6 @@
 //! `loopbound swap`: asks a group's supervisor for another controller, and says what came of it.
 
+use loopbound_model::quote;
 use std::io::Write as _;
 use std::path::PathBuf;
 
@@ -52,7 +53,7 @@ fn law(text: &str) -> Result<LawKind, String> {
 pub fn run(args: &SwapArgs) -> anyhow::Result<Exit> {
     // The supervisor may have another working directory.
     let absolute =
-        |path: &PathBuf| path.canonicalize().map_err(|e| Failure::usage(format!("--exe {}: {e}", path.display())));
+        |path: &PathBuf| path.canonicalize().map_err(|e| Failure::usage(format!("--exe {}: {e}", quote::path(path))));
     let request = SwapRequest {
         law: args.law,
         exe: args.exe.as_ref().map(absolute).transpose()?,

@@ -287,6 +287,12 @@ fn one_module_starts_threads_and_processes() {
 }
 
 #[test]
+fn paths_are_shown_without_what_a_terminal_would_obey() {
+    let shown: Vec<String> = programs().filter(|(_, code)| has_word(code, "display")).map(|(name, _)| name).collect();
+    assert_eq!(shown, NONE, "quote::path shows a path");
+}
+
+#[test]
 fn code_is_unsafe_in_the_listed_files_alone() {
     assert_eq!(offenders(&["unsafe"], &UNSAFE_ALLOWED), NONE);
     for file in UNSAFE_ALLOWED {

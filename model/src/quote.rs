@@ -21,6 +21,12 @@ pub fn path(path: &std::path::Path) -> String {
     shortened(&escaped(&path.to_string_lossy(), false), WORD_MAX)
 }
 
+/// The same however long it is: for whoever reads it from standard output.
+#[must_use]
+pub fn whole_path(path: &std::path::Path) -> String {
+    escaped(&path.to_string_lossy(), false)
+}
+
 /// A number in at most some twenty characters: with an exponent where it is very large or very small.
 #[must_use]
 pub fn number(value: f64) -> String {

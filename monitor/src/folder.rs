@@ -19,6 +19,7 @@ mod manifest;
 mod results;
 mod stream;
 
+use loopbound_model::quote;
 use std::path::Path;
 
 use loopbound_scenario::input::WAYPOINTS_BYTES_MAX;
@@ -46,7 +47,7 @@ pub fn self_contained(scenario: &Scenario) -> Scenario {
 /// # Errors
 /// If the text is no scenario.
 pub fn recorded_scenario(text: &str, folder: &Path) -> Result<Scenario, ScenarioError> {
-    let mut scenario = Scenario::from_toml(text, &folder.display().to_string())?;
+    let mut scenario = Scenario::from_toml(text, &quote::path(folder))?;
     scenario.anchor(folder);
     Ok(scenario)
 }
@@ -63,7 +64,7 @@ pub fn waypoints_of(scenario: &Scenario) -> Result<Option<Vec<u8>>, FolderError>
 
 impl FolderError {
     pub(crate) fn of(path: &Path, why: impl std::fmt::Display) -> Self {
-        Self(format!("{}: {why}", path.display()))
+        Self(format!("{}: {why}", quote::path(path)))
     }
 }
 

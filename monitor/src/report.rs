@@ -6,6 +6,7 @@
 mod decimate;
 mod rebuilt;
 
+use loopbound_model::quote;
 use std::io::{self, BufReader};
 use std::path::Path;
 
@@ -54,7 +55,8 @@ pub struct Run {
 /// # Errors
 /// If there is no `summary.json` where there should be one, or a file can't be read.
 pub fn read_run(folder: &Path, incomplete: &[String]) -> io::Result<Run> {
-    let named = |name: &str, e: io::Error| io::Error::new(e.kind(), format!("{}: {e}", folder.join(name).display()));
+    let named =
+        |name: &str, e: io::Error| io::Error::new(e.kind(), format!("{}: {e}", quote::path(&folder.join(name))));
     let (mut summary, rebuilt): (Value, _) =
         match input::read_file(&folder.join("summary.json"), input::SUMMARY_BYTES_MAX) {
             Ok(text) => (serde_json::from_slice(&text).map_err(|e| named("summary.json", e.into()))?, None),
@@ -88,7 +90,7 @@ pub fn read_run(folder: &Path, incomplete: &[String]) -> io::Result<Run> {
     });
     let name = folder.canonicalize().ok().and_then(|path| Some(path.file_name()?.to_string_lossy().into_owned()));
     Ok(Run {
-        name: name.unwrap_or_else(|| folder.display().to_string()),
+        name: name.unwrap_or_else(|| quote::path(folder)),
         mood: mood(&summary),
         summary,
         events,

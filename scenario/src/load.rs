@@ -30,10 +30,10 @@ impl Scenario {
         if let Some(path) = path {
             let text = input::read_text(path, SCENARIO_BYTES_MAX)
                 .map_err(|source| ScenarioError::Read { path: path.to_owned(), source })?;
-            scenario = Self::from_toml(&text, &path.display().to_string())?;
+            scenario = Self::from_toml(&text, &quote::path(path))?;
             // What a scenario names lies beside it, wherever the command is started, and also for a role that reads a copy.
             scenario.anchor(path.parent().unwrap_or(Path::new("")));
-            origin.file = Some((text, path.display().to_string()));
+            origin.file = Some((text, quote::path(path)));
         }
         let (scenario, set) = scenario.assign(assignments).map_err(|error| origin.locate(error))?;
         origin.set = set;

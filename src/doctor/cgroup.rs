@@ -1,6 +1,7 @@
 //! Findings on the control group that this process is in: what a container or a service manager lets it have of the
 //! processors. Both versions are read, where the kernel says that they are mounted.
 
+use loopbound_model::quote;
 use std::path::{Path, PathBuf};
 
 use loopbound_shared::realtime::Outcome;
@@ -64,7 +65,7 @@ impl Group {
 
     /// How it looks from the root of the tree.
     fn file(folder: &Path, name: &str) -> String {
-        format!("/{}", folder.join(name).display())
+        format!("/{}", quote::path(&folder.join(name)))
     }
 }
 

@@ -1,6 +1,7 @@
 //! The folder of a study is one study's, by the rules of a run's: asked for before anything is computed, marked unfinished
 //! and cleared of an earlier study's files once it is taken, and finished with every file's size and hash in its manifest.
 
+use loopbound_model::quote;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
@@ -63,7 +64,7 @@ impl Folder {
         let path = self.path().join(name);
         self.results.announce(name, content.as_ref());
         let saved = self.results.save();
-        saved.and_then(|()| self.results.write(name, content.as_ref())).with_context(|| path.display().to_string())
+        saved.and_then(|()| self.results.write(name, content.as_ref())).with_context(|| quote::path(&path))
     }
 
     /// Writes a picture as SVG, which follows the reader's light or dark theme, and as PNG.
@@ -82,7 +83,7 @@ impl Folder {
     /// If that can't be written: then the folder stays unfinished.
     pub fn finish(self) -> anyhow::Result<PathBuf> {
         let path = self.path().to_owned();
-        self.results.finish().with_context(|| path.display().to_string())?;
+        self.results.finish().with_context(|| quote::path(&path))?;
         Ok(path)
     }
 

@@ -55,7 +55,9 @@ impl Child {
         let (file, log) = (group.append(&log)?, group.file(&log));
         let mut command = process.command(group, file).context("starting a process")?;
         let child = spawn::process(&mut command).map_err(|e| match &process.exe {
-            Some(exe) => Failure::usage(format!("{}: {} can't be started: {e}", process.name(), exe.display())).into(),
+            Some(exe) => {
+                Failure::usage(format!("{}: {} can't be started: {e}", process.name(), quote::path(exe))).into()
+            }
             None => anyhow::Error::new(e).context(format!("{} can't be started", process.name())),
         })?;
         let pid = child.id();

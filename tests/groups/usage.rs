@@ -158,3 +158,46 @@ fn model_answers_each_line_with_one_line() {
     let answered = answers[3]["acceleration"][0].as_f64().expect("a number");
     assert!((answered - by_hand).abs() < 1e-12, "{answered} is not {by_hand}");
 }
+
+#[test]
+fn every_command_with_a_scenario_refuses_what_can_not_be_built_before_any_output() {
+    let case = Case::new("not-built");
+    case.write("back.csv", "t_s,q1,q2,q3\n0,0,0,0\n2,1,1,1\n1,0,0,0\n");
+    case.write("bad.toml", "[reference]\nkind = \"waypoints\"\nfile = \"back.csv\"\n");
+    for arguments in [&["run", "bad.toml"][..], &["model", "bad.toml"], &["study", "load", "bad.toml", "--out", "out"]]
+    {
+        let ended = case.start(arguments).wait();
+        assert_eq!((ended.code, ended.out.as_str()), (Some(2), ""), "{arguments:?}: {ended:?}");
+        assert!(ended.err.contains("reference.file") || ended.err.contains("back.csv"), "{arguments:?}: {ended:?}");
+    }
+    assert!(!case.work.path().join("out").exists());
+    case.assert_nothing_left();
+}
+
+#[test]
+fn a_path_does_not_command_the_terminal_wherever_it_is_said() {
+    let case = Case::new("rude-path");
+    let rude = "a\u{1b}]0;owned\u{7}\r\nb";
+    case.write(rude, "no = 1\n");
+    for arguments in [
+        &["run", rude][..],
+        &["run", "--out", rude],
+        &["run", "--expect", rude],
+        &["bound", rude],
+        &["model", rude],
+        &["check", rude],
+        &["compare", rude, rude],
+        &["report", rude],
+        &["replay", rude],
+        &["study", "load", rude],
+        &["study", "rate", "--quick", "--out", rude],
+        &["swap", "--group", "g", "--exe", rude],
+        &["monitor", "--group", rude],
+        &["clean", rude],
+    ] {
+        let ended = case.start(arguments).wait();
+        assert!(ended.code.is_some_and(|code| code != 0 && code != 101), "{arguments:?}: {ended:?}");
+        let raw = |text: &str| text.contains(['\u{1b}', '\u{7}', '\r']);
+        assert!(!raw(&ended.out) && !raw(&ended.err), "{arguments:?}: {ended:?}");
+    }
+}

@@ -1,5 +1,6 @@
 //! The folder of a run that is over: whose it is, whether it was finished, and which file is no longer as written.
 
+use loopbound_model::quote;
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -64,13 +65,13 @@ impl Look {
     /// The run's id and time, or where its recording is.
     #[must_use]
     pub fn whose(&self) -> String {
-        self.manifest.as_ref().map_or_else(|| format!("run in {}", self.folder.display()), Manifest::whose)
+        self.manifest.as_ref().map_or_else(|| format!("run in {}", quote::path(&self.folder)), Manifest::whose)
     }
 
     /// The line that goes before everything else that is said of a recording that is not whole.
     #[must_use]
     pub fn headline(&self) -> String {
-        format!("INCOMPLETE: {} ({}): {}", self.whose(), self.folder.display(), self.faults.join("; "))
+        format!("INCOMPLETE: {} ({}): {}", self.whose(), quote::path(&self.folder), self.faults.join("; "))
     }
 
     /// A file of this folder was written again on purpose, such as its page: its size and hash follow. Nothing happens

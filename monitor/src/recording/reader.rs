@@ -158,6 +158,10 @@ impl Recording {
                     let count = self.file.read(self.reader.insert(wanted)).map_err(ReadError::Io)?;
                     self.reader.notify_read(count);
                 }
+                // A long chunk of zeros, which are a few bytes when compressed, would be hundreds of millions of them.
+                Ok(LinearReadEvent::Record { opcode: 0, .. }) => {
+                    return Err(ReadError::Malformed("a record of no kind (opcode 0)".to_owned()));
+                }
                 Ok(LinearReadEvent::Record { data, opcode }) => {
                     let malformed = |e: mcap::McapError| ReadError::Malformed(e.to_string());
                     let record = mcap::parse_record(opcode, data).map_err(malformed)?;

@@ -135,3 +135,65 @@ fn the_viewers_clock_shows_when_a_tick_was_in_real_time() {
     about.started.monotonic_ns = None;
     assert_eq!(about.started.wall_zero_ns(&record), about.started.wall_ns);
 }
+
+/// A block of 4 MiB of zeros, compressed as LZ4 does: one literal, a match with the byte before of all but the last five.
+fn zeros_in_a_block() -> Vec<u8> {
+    let matched = (4 << 20) - 6 - 4 - 15;
+    let mut block = vec![0x1f, 0, 1, 0];
+    block.extend(std::iter::repeat_n(255, matched / 255));
+    block.extend([u8::try_from(matched % 255).unwrap(), 0x50, 0, 0, 0, 0, 0]);
+    block
+}
+
+/// The beginning of a recording with a chunk that claims `claimed` bytes with checksum `crc`, and has so many blocks of
+/// zeros in it.
+fn with_a_chunk_of_zeros(claimed: u64, crc: u32, blocks: usize) -> Vec<u8> {
+    let block = zeros_in_a_block();
+    // Frame of version 1, independent blocks of 4 MiB.
+    let mut frame = vec![0x04, 0x22, 0x4d, 0x18, 0x60, 0x70, 0x73];
+    for _ in 0..blocks {
+        frame.extend(u32::try_from(block.len()).unwrap().to_le_bytes());
+        frame.extend(&block);
+    }
+    frame.extend([0; 4]);
+    let mut chunk = [0_u64, 0, claimed].map(u64::to_le_bytes).concat();
+    chunk.extend(crc.to_le_bytes());
+    chunk.extend([&3_u32.to_le_bytes()[..], b"lz4", &(frame.len() as u64).to_le_bytes(), &frame].concat());
+    let mut file = b"\x89MCAP0\r\n".to_vec();
+    for (opcode, content) in [(0x01_u8, vec![0; 8]), (0x06, chunk)] {
+        file.push(opcode);
+        file.extend((content.len() as u64).to_le_bytes());
+        file.extend(content);
+    }
+    file
+}
+
+#[test]
+fn a_small_file_that_unpacks_to_gigabytes_is_refused_at_once() {
+    const GIGABYTES: u64 = 4 << 30;
+    let path = temporary("zeros");
+    let peak_kib = || {
+        let status = std::fs::read_to_string("/proc/self/status").unwrap();
+        let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
+        line.trim().trim_end_matches(" kB").parse::<u64>().unwrap()
+    };
+    let before = peak_kib();
+    // What it claims is too much; what it claims is nothing and what it has is too much; both, with and without a checksum.
+    for (claimed, crc, blocks) in [
+        (GIGABYTES, 1, 1),
+        (GIGABYTES, 0, 1),
+        (GIGABYTES, 1, 1024),
+        (GIGABYTES, 0, 1024),
+        (1024, 0, 1024),
+        (1024, 1, 1024),
+    ] {
+        let file = with_a_chunk_of_zeros(claimed, crc, blocks);
+        assert!(file.len() < 20 << 20, "small beside what it unpacks to");
+        std::fs::write(&path, &file).unwrap();
+        let refused = Recording::open(&path).map(|_| ());
+        assert!(matches!(refused, Err(ReadError::Malformed(_))), "{claimed} {crc} {blocks}: {refused:?}");
+    }
+    std::fs::remove_file(&path).unwrap();
+    let taken = peak_kib() - before;
+    assert!(taken < 512 << 10, "{taken} KiB");
+}

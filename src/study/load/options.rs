@@ -12,6 +12,7 @@ use super::case::{Case, Rights};
 use crate::background::Kind;
 use crate::cli::word;
 use crate::exit::Failure;
+use crate::prepare;
 
 /// The shortest run that still has latencies to show once its start-up is left out, ns.
 const RUN_NS_MIN: u64 = 400_000_000;
@@ -195,11 +196,8 @@ impl LoadArgs {
     }
 
     fn base(&self) -> anyhow::Result<Scenario> {
-        let scenario = match &self.scenario {
-            Some(path) => Scenario::load(path)?,
-            None => Scenario::default(),
-        };
-        let mut scenario = scenario.with_sets(&self.set)?;
+        let (mut scenario, origin) = Scenario::read(self.scenario.as_deref(), &self.set)?;
+        prepare::system_of(&scenario).map_err(|error| origin.locate(error))?;
         let law = scenario.controller.law;
         if !matches!(law, LawKind::Robust | LawKind::RobustFf) {
             let why = format!("controller.law: found {law}, allowed: robust, robust-ff (‖W‖ is searched for these)");
