@@ -186,6 +186,8 @@ fn figures(a: &Summary, b: &Summary, differences: &[Difference]) -> Vec<Figure> 
     };
     let v_unit: fn(&Summary) -> &'static str = |s| s.bound.units().map_or("", |units| units.v);
     vec![
+        figure("missed ticks", |_| "", |s| Some(s.missed_ticks as f64), false),
+        figure("share of missed ticks", |_| "%", |s| share(s.missed_ticks, s.ticks), false),
         figure("largest |e_i|, settled", |_| "rad", |s| s.tracking.max_abs_e_rad, false),
         figure("largest ‖e‖, settled", |_| "rad", |s| s.tracking.max_norm_e_rad, false),
         figure("rms e_i, settled", |_| "rad", |s| s.tracking.rms_e_rad, false),
@@ -193,6 +195,11 @@ fn figures(a: &Summary, b: &Summary, differences: &[Difference]) -> Vec<Figure> 
         figure("least slack of V", v_unit, |s| s.bound.slack_min, true),
         figure("largest ‖W‖, settled", |_| "", |s| s.bound.w_norm_max_settled, true),
     ]
+}
+
+/// A share of ticks, %; none of none.
+fn share(some: u64, all: u64) -> Option<f64> {
+    (all > 0).then(|| 100.0 * some as f64 / all as f64)
 }
 
 fn table(figures: &[Figure]) -> String {

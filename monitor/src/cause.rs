@@ -5,7 +5,8 @@
 //! the questions, the first yes decides:
 //!
 //! 1. [`Cause::InjectedFault`]: the tick says that a fault was injected into it, or, where the part is the controller's, its
-//!    torque does, in time or not.
+//!    torque does, in time or not, or the scenario has a fault that keeps this controller from answering this tick; or the plant was
+//!    kept by a fault of its own beyond the end of the tick before.
 //! 2. [`Cause::MonitorJoined`]: the plant mapped memory for a port in this tick or the one before, and its wake-up is
 //!    the part (or mapping took at least a quarter of the time lost); or the controller says that it was mapping.
 //! 3. [`Cause::PageFault`]: a major fault in the thread, or so many minor ones that they explain a quarter of the time
@@ -18,7 +19,8 @@
 //!    two ticks. One that answers when the tick is over is not silent.
 //! 8. [`Cause::PageFault`]: minor faults in the thread, few enough that each would have cost up to [`MINOR_FAULT_MAX_NS`].
 //! 9. [`Cause::SetpointStale`]: the part is the controller's, and the setpoint of the tick was absent, but not because
-//!    everybody had been stopped: where setpoints ran out while the plant itself did not run, they are no cause.
+//!    everybody had been stopped: where setpoints ran out while the plant itself did not run, they are no cause. Where the scenario has
+//!    a fault that made the reference keep it, that fault is the cause.
 //! 10. By part: the plant's wake-up is [`Cause::OwnOverrun`] when the thread was running for nine tenths of the time
 //!     since the last record and no gap in its spin is as long as half of the time lost, else [`Cause::TimerOrHost`];
 //!     computation is [`Cause::OwnOverrun`] of the controller; its wake-up is [`Cause::ControllerLate`]; the way back is
@@ -143,6 +145,8 @@ pub struct Clues {
     pub removed: bool,
     /// The setpoint of the tick was absent, and the plant had been running when they ran out.
     pub setpoint_stale: bool,
+    /// A fault of the reference kept that setpoint away.
+    pub stale_injected: bool,
 }
 
 /// A cause and how large its evidence is.
@@ -192,7 +196,8 @@ pub fn attribute(clues: &Clues) -> Attribution {
         return answer(Cause::PageFault, lost_ns);
     }
     if clues.setpoint_stale && !clues.part.is_plants() {
-        return answer(Cause::SetpointStale, lost_ns);
+        let cause = if clues.stale_injected { Cause::InjectedFault } else { Cause::SetpointStale };
+        return answer(cause, lost_ns);
     }
     answer(by_part(clues), lost_ns)
 }
@@ -275,6 +280,7 @@ mod tests {
             two_ticks_ns: 2_000_000,
             removed: false,
             setpoint_stale: false,
+            stale_injected: false,
         }
     }
 

@@ -4,8 +4,15 @@
 //! answer later. So a case against a controller waits for that answer, at most [`Config::finalise_ns`] of ticks; one
 //! against the plant is decided at once.
 //!
+//! A controller that the scenario's own faults silence can't say so: nothing came that could carry the word. Which ticks those are is
+//! asked of the scenario ([`Planned`]).
+//!
 //! A tick that breaks the bound under the plant's own fallback has the cause of the last missed tick: its torque is the one
 //! that did not come.
+
+mod planned;
+
+pub use planned::Planned;
 
 use loopbound_shared::event::{Acceptance, Decision, HappeningKind};
 use loopbound_shared::realtime::Evidence;
@@ -75,6 +82,7 @@ pub struct Causes {
     /// The tick with which the plant went on after it had skipped some.
     resumed: u64,
     setpoints: Setpoints,
+    planned: Planned,
     /// Controllers that were removed from the group. Numbers are never given twice.
     gone: Vec<u32>,
     /// The last missed tick, and its cause once that is known.
@@ -98,6 +106,7 @@ impl Default for Causes {
             overslept_by_fault: false,
             resumed: 0,
             setpoints: Setpoints::Fresh,
+            planned: Planned::default(),
             gone: Vec::with_capacity(GONE_MAX),
             last_missed: None,
             late: CauseCounts::default(),
@@ -108,11 +117,23 @@ impl Default for Causes {
 }
 
 impl Causes {
+    /// Causes of a run in which these faults are planned.
+    #[must_use]
+    pub fn new(planned: Planned) -> Self {
+        Self { planned, ..Self::default() }
+    }
+
     /// Takes the next record. `settled`: past the start-up. Returns how many ticks were missed with it.
     pub fn feed(&mut self, config: &Config, record: &TickRecord, settled: bool, events: &mut EventLog) -> u64 {
         self.note_gone(config, record, events);
         self.decide_answered(config, record, events);
         self.note_setpoints(record);
+        let writers = receipts(record).iter().map(|receipt| receipt.writer);
+        self.planned.advance(
+            record.tick,
+            record.skipped_before,
+            [record.active, self.active_before].into_iter().chain(writers),
+        );
         let at_rest = record.flags & record_flag::AT_REST != 0;
         let mut missed = 0;
         if !at_rest {
@@ -160,6 +181,7 @@ impl Causes {
             two_ticks_ns: config.period_ns.saturating_mul(2),
             removed: false,
             setpoint_stale: self.setpoints == Setpoints::RanOut,
+            stale_injected: false,
         }
     }
 
@@ -208,7 +230,11 @@ impl Causes {
         let blamed = if self.active_before == 0 { record.active } else { self.active_before };
         let blamed_receipt = receipts(record).iter().find(|receipt| receipt.writer == blamed);
         (clues.part, clues.lost_ns) = part_of(config, record, blamed);
-        if !clues.part.is_plants() {
+        if clues.part.is_plants() {
+            clues.injected |= self.overslept_by_fault;
+        } else {
+            clues.injected |= self.planned.silences(blamed);
+            clues.stale_injected = self.planned.withholds_setpoint();
             let answers = [blamed_receipt, accepted(record)];
             let flags = answers.into_iter().flatten().fold(0, |flags, receipt| flags | receipt.flags);
             clues.injected |= flags & INJECTED != 0;

@@ -35,6 +35,8 @@ pub struct Run {
     pub summary: Value,
     /// How the page shows the verdict: `good`, `warn` or `bad`.
     pub mood: &'static str,
+    /// What the verdict means, in one sentence without a full stop; empty for the word of another version.
+    pub meaning: &'static str,
     /// Lines of `events.jsonl`.
     pub events: Vec<Value>,
     /// Lines beyond what a page shows.
@@ -92,6 +94,7 @@ pub fn read_run(folder: &Path, incomplete: &[String]) -> io::Result<Run> {
     Ok(Run {
         name: name.unwrap_or_else(|| quote::path(folder)),
         mood: mood(&summary),
+        meaning: headline(&summary).map(Headline::sentence).unwrap_or_default(),
         summary,
         events,
         events_left_out,
@@ -102,9 +105,14 @@ pub fn read_run(folder: &Path, incomplete: &[String]) -> io::Result<Run> {
     })
 }
 
+/// The headline of the verdict; none for a word of another version.
+fn headline(summary: &Value) -> Option<Headline> {
+    summary["verdict"]["status"].as_str().and_then(Headline::of_word)
+}
+
 /// By the headline of the verdict; a word of another version decides nothing.
 fn mood(summary: &Value) -> &'static str {
-    match summary["verdict"]["status"].as_str().and_then(Headline::of_word) {
+    match headline(summary) {
         Some(headline) if headline.is_good() => "good",
         Some(headline) if headline.is_bad() => "bad",
         _ => "warn",
@@ -194,6 +202,7 @@ mod tests {
         Run {
             name: name.into(),
             summary: json!({"verdict": {"status": "held", "reasons": ["</script><b>"]}}),
+            meaning: "",
             mood: "good",
             events: Vec::new(),
             events_left_out: 0,

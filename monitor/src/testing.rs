@@ -33,6 +33,7 @@ pub(crate) fn config() -> Config {
         speed_limit_rad_s: 100.0,
         scheduled_swaps: Vec::new(),
         rollback_ticks: 50,
+        planned: crate::late::Planned::default(),
     }
 }
 

@@ -16,7 +16,7 @@ use crate::event::{Event, EventKind, EventLog};
 use crate::hops::{Hop, Hops};
 use crate::jitter::JitterStatistics;
 use crate::judge::{Judge, Judged};
-use crate::late::Causes;
+use crate::late::{Causes, Planned};
 use crate::summary::{Summary, Tracking, counters_by_name, finite};
 use crate::swaps::Swaps;
 use crate::verdict::blocks::Blocks;
@@ -42,6 +42,8 @@ pub struct Config {
     pub scheduled_swaps: Vec<Scheduled>,
     /// How long after a swap the plant may roll it back, in ticks.
     pub rollback_ticks: u64,
+    /// The faults that the scenario injects.
+    pub planned: Planned,
 }
 
 impl Config {
@@ -57,6 +59,7 @@ impl Config {
             lockstep: scenario.loop_.mode == Mode::Lockstep,
             speed_limit_rad_s: scenario.plant.speed_limit,
             scheduled_swaps: controllers::scheduled_swaps(scenario),
+            planned: Planned::of(scenario),
             rollback_ticks: scenario.swap_gate.rollback_for.ns().div_ceil(scenario.period_ns()),
         }
     }
@@ -181,7 +184,7 @@ impl<const N: usize> Tracker<N> {
             interval: Hops::default(),
             blocks: Blocks::new(config.period_ns),
             jitter: JitterStatistics::default(),
-            causes: Causes::default(),
+            causes: Causes::new(config.planned.clone()),
             divergence: Divergence::new(config.speed_limit_rad_s),
             swaps: Swaps::new(config.scheduled_swaps.clone(), config.rollback_ticks),
             events: EventLog::default(),

@@ -162,7 +162,7 @@ impl Headline {
     /// Whether it is a failure that a build should stop at.
     #[must_use]
     pub const fn is_bad(self) -> bool {
-        matches!(self.exit_code(), 1 | 5 | 70)
+        matches!(self.exit_code(), 1 | 4 | 5 | 70)
     }
 }
 

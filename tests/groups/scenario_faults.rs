@@ -75,3 +75,32 @@ fn a_controller_that_steps_in_before_its_scheduled_swap_replaces_nobody() {
     case.assert_nothing_left();
     assert_eq!(ended.json()["supervision"]["deaths"], Value::Array(Vec::new()));
 }
+
+#[test]
+fn ticks_that_a_dropping_or_a_hanging_controller_leaves_unanswered_are_attributed_to_the_fault() {
+    let case = Case::new("unanswered");
+    let out = case.work.path().join("out");
+    // At 5 ms a tick: 60 to 79 dropped, 120 to 140 in a hang, and from 170 on nobody lives who could answer.
+    let scenario = "[loop]\nrate = \"200Hz\"\nduration = \"900ms\"\n[controller]\nlaw = \"pd+g\"\n\
+                    [[fault]]\nkind = \"drop\"\nat = 60\nfor = 20\n\
+                    [[fault]]\nkind = \"hang\"\nat = 120\nfor = \"100ms\"\n\
+                    [[fault]]\nkind = \"kill\"\nat = 170\n";
+    let ended = case.run(scenario, &["--out", out.to_str().expect("a path in UTF-8")]).wait();
+    case.assert_nothing_left();
+    let summary = ended.json();
+    let events = std::fs::read_to_string(out.join("events.jsonl")).expect("the file was written");
+    let events: Vec<Value> = events.lines().map(|line| serde_json::from_str(line).expect("a line of JSON")).collect();
+    let missed = |from: u64, to: u64| {
+        let within = move |event: &&Value| event["tick"].as_u64().is_some_and(|tick| (from..to).contains(&tick));
+        events.iter().filter(within).filter(|event| event["kind"] == "missed").collect::<Vec<_>>()
+    };
+    for (from, to) in [(60, 80), (120, 141), (170, 175)] {
+        let found = missed(from, to);
+        // What the machine itself takes away is skipped, and has its own cause.
+        let injected = found.iter().filter(|event| event["cause"] == "injected_fault").count();
+        assert!(injected as u64 * 2 >= to - from, "{from} to {to}: {}", summary["missed_ticks_by_cause"]);
+        let blamed = ["controller_silent", "controller_late", "controller_dead"];
+        let wrong: Vec<_> = found.iter().filter(|event| blamed.iter().any(|cause| event["cause"] == *cause)).collect();
+        assert!(wrong.is_empty(), "{wrong:?}");
+    }
+}

@@ -114,3 +114,37 @@ fn ticks_that_the_plant_slept_through_by_a_fault_are_injected_and_those_of_the_h
     let marked = with(good(4), record_flag::FAULT_INJECTED);
     assert_eq!(missed([good(3), marked, with(slept, record_flag::FAULT_INJECTED), good(11)]), of("timer_or_host", 5));
 }
+
+/// Causes of missed ticks where a scenario plans these faults.
+fn missed_with(faults: &str, records: impl IntoIterator<Item = TickRecord>) -> Vec<(String, u64)> {
+    let scenario = loopbound_scenario::Scenario::from_toml(faults, "test").unwrap();
+    let mut tracker: Tracker<3> = Tracker::new(Config { planned: Planned::of(&scenario), ..config() }, None);
+    for record in records {
+        tracker.feed(&record);
+    }
+    tracker.finish();
+    tracker.summarise().missed_ticks_by_cause.into_iter().filter(|(_, count)| *count > 0).collect()
+}
+
+#[test]
+fn a_silence_that_the_scenario_planned_is_injected_and_what_goes_beyond_it_is_not() {
+    let silent = |to: u64| [good(4)].into_iter().chain((5..to).map(unanswered)).chain([good(to), good(to + 1)]);
+    let hang = "[[fault]]\nkind = \"hang\"\ntarget = \"controller:1\"\nat = 5\nfor = \"9ms\"\n";
+    assert_eq!(missed_with(hang, silent(15)), of("injected_fault", 10));
+    assert_eq!(
+        missed_with(hang, silent(25)),
+        [("controller_silent".to_owned(), 10), ("injected_fault".to_owned(), 10)]
+    );
+    let drop = "[[fault]]\nkind = \"drop\"\nat = 5\nfor = 10\n";
+    assert_eq!(missed_with(drop, silent(15)), of("injected_fault", 10));
+    let kill = "[[fault]]\nkind = \"kill\"\nat = 5\n";
+    let died = (5..25).map(|tick| if tick == 9 { removed(unanswered(tick)) } else { unanswered(tick) });
+    assert_eq!(missed_with(kill, [good(4)].into_iter().chain(died)), of("injected_fault", 20));
+    // That of another controller, and one that is answered, excuse nothing.
+    for other in [
+        "[[fault]]\nkind = \"hang\"\ntarget = \"controller:2\"\nat = 5\nfor = \"9ms\"\n",
+        "[[fault]]\nkind = \"delay\"\ndelay = \"20us\"\n",
+    ] {
+        assert_eq!(missed_with(other, silent(15)), of("controller_silent", 10), "{other}");
+    }
+}

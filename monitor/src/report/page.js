@@ -217,8 +217,20 @@ function table(head, rows) {
 }
 const facts = rows => table(['', ''], rows.map(([k, v]) => [words(k), esc(typeof v === 'object' ? JSON.stringify(v) : v)]));
 
+const plain = name => String(name).replace(/_/g, ' ');
+const SAID = {
+  'first seen': () => 'the first record that the monitor got',
+  late: e => `${e.deadline_to_torque_ns ? `the torque came ${duration(e.deadline_to_torque_ns)} after the deadline` : 'no torque came'}: ${plain(e.cause)}`,
+  missed: e => `${e.ticks === 1 ? 'no torque in time' : `${e.ticks} ticks without a torque in time`}${e.decision ? `, ${plain(e.decision)}` : ''}: ${plain(e.cause)}`,
+  gap: e => `${e.ticks} records did not reach the monitor`,
+  rejected: e => `a torque of controller ${e.controller} was not applied: ${plain(e.reason)}`,
+  bound: e => `the bound was broken: ${WHY[e.verdict] ?? plain(e.verdict)}`,
+  promise: e => `V = ${number(e.v)} where ${number(e.v_bound)} was promised`,
+  level: e => `V = ${number(e.v)} is ${e.inside ? 'within the level again' : 'above the level'}, c = ${number(e.level)}`,
+};
 function describe(event) {
-  const { tick, t_s, kind, text, ...rest } = event;
+  const { tick, t_s, kind, ...rest } = event;
+  const text = rest.text ?? SAID[kind]?.(event);
   if (text) return `tick ${tick}: ${kind}, ${text}`;
   const parts = Object.entries(rest).filter(([, v]) => v !== null).map(([k, v]) => `${k.replace(/_/g, ' ')} ${k.endsWith('_ns') ? duration(v) : typeof v === 'number' ? number(v) : v}`);
   return `tick ${tick}: ${kind}${parts.length ? `, ${parts.join(', ')}` : ''}`;
@@ -236,17 +248,21 @@ function head(run, at) {
   // Green beside a reason against it would contradict itself.
   const mood = run.mood === 'good' && reasons.length ? 'warn' : run.mood;
   add(at, `<div class="verdict"><span class="badge ${mood}">${esc(status)}</span><div><h1>${esc(run.name)}</h1><span class="note">${esc(s.written ?? '')} · ${esc(s.mode ?? '')} · ${esc(whose(s.bound ?? {}))} · loopbound ${esc(s.version ?? '')}</span></div></div>`);
+  if (run.meaning) add(at, `<p class="note"><b>${esc(status)}</b>: ${esc(run.meaning.replace(/`/g, ''))}.</p>`);
   add(at, reasons.length ? `<ul class="reasons">${reasons.map(r => `<li>${esc(r)}</li>`).join('')}</ul>` : '<p class="note">Every expectation held, and the bound was kept. Missed and late ticks are counted below, with their causes.</p>');
   const trip = s.latency_ns?.round_trip ?? {}, b = s.bound ?? {};
   const tiles = [
     ['rate', `${number(s.rate_hz)} Hz`], ['ticks seen', number(s.ticks_seen, 9)], ['missed', number(s.missed_ticks, 9), s.missed_ticks ? 'warn' : ''],
     ['late', number(s.late_ticks, 9), s.late_ticks ? 'warn' : ''], [s.latency_is_virtual ? 'round trip p50 (virtual)' : 'round trip p50', duration(trip.p50)],
-    ['p99', duration(trip.p99)], ['p99.9', duration(trip.p99_9)], ['max', duration(trip.max)],
-    ['largest |e<sub>i</sub>| of one link, settled', `${number(s.tracking?.max_abs_e_rad, 3)} rad`], ['largest ‖e‖ of all links, settled', `${number(s.tracking?.max_norm_e_rad, 3)} rad`],
+    ['round trip p99', duration(trip.p99)], ['round trip p99.9', duration(trip.p99_9)], ['longest round trip', duration(trip.max)],
+    ['largest |e<sub>i</sub>| of one link, settled', withUnit(s.tracking?.max_abs_e_rad, 'rad')], ['largest ‖e‖ of all links, settled', withUnit(s.tracking?.max_norm_e_rad, 'rad')],
     ['bound violated, ticks', number(b.violations, 9), b.violations > (b.verdicts?.designed_hold ?? 0) ? 'bad' : ''], ['least slack of the promise', withUnit(b.slack_min, b.v_unit)],
-    ['latency budget used', b.budget_used === null || b.budget_used === undefined ? '–' : `${number(100 * b.budget_used, 3)} %`, b.budget_used >= 1 ? 'warn' : ''],
+    [`latency budget used${b.budget_rule ? `, by the rule for a ${esc(b.budget_rule)}` : ''}`, b.budget_used === null || b.budget_used === undefined ? '–' : `${number(100 * b.budget_used, 3)} %`, b.budget_used >= 1 ? 'warn' : ''],
   ];
   add(at, `<div class="tiles">${tiles.map(([name, value, mood = '']) => `<div class="tile ${mood}"><b>${value}</b><span>${name}</span></div>`).join('')}</div>`);
+  if (s.missed_ticks) add(at, `<p class="note">Round trips are those of the ${number(trip.n ?? 0, 9)} ticks that got a torque. A verdict counts each of the ${number(s.missed_ticks, 9)} missed ticks as longer than every limit, so its quantiles can be higher than these.</p>`);
+  const expected = s.verdict?.expectations ?? [];
+  if (expected.length) add(at, table(['expected', 'outcome', 'found'], expected.map(e => [esc(e.expectation), esc(e.outcome), esc(e.reason)])));
 }
 const marksOf = run => run.events.filter(e => e.kind in MARKED || (e.kind === 'missed' && e.cause === 'injected_fault'))
   .map(e => ({ t: e.t_s, colour: colour(MARKED[e.kind] ?? 5), text: describe(e) }));

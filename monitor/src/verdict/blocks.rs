@@ -124,7 +124,8 @@ impl Blocks {
         for hop in Hop::ALL {
             let open = &mut self.open[hop as usize];
             let needs_torque = matches!(hop, Hop::RoundTrip | Hop::DeadlineToTorque);
-            match hop.stamps(record, receipt) {
+            let stamps = hop.stamps(record, receipt);
+            match stamps {
                 Some((from_ns, to_ns)) => {
                     open.extend(to_ns.checked_sub(from_ns).map(bucket));
                     if matches!(hop, Hop::Wakeup | Hop::DeadlineToTorque) {
@@ -134,6 +135,11 @@ impl Blocks {
                 }
                 None if needs_torque && !at_rest => open.push(LAST_BUCKET),
                 None => {}
+            }
+            // Skipped ticks got no torque of their own: they have no round trip, and wait for that of the tick that was not skipped.
+            let waits_for_torque = hop == Hop::DeadlineToTorque && stamps.is_some();
+            if needs_torque && !at_rest && !waits_for_torque {
+                open.extend((0..record.skipped_before.min(SKIPPED_MAX)).map(|_| LAST_BUCKET));
             }
         }
     }
@@ -248,6 +254,24 @@ mod tests {
         let round_trips: Vec<(u64, u64)> = blocks.of(Hop::RoundTrip).map(|c| above(c, LAST_BUCKET - 1)).collect();
         assert_eq!(round_trips, [(250, 25), (250, 25)]);
         assert_eq!(above(blocks.of(Hop::Compute).next().unwrap(), 0).0, 225);
+    }
+
+    #[test]
+    fn skipped_ticks_have_no_round_trip_and_are_above_every_latency() {
+        let counts = |answered: bool, hop: Hop| {
+            let mut blocks = Blocks::new(PERIOD_NS);
+            (0..200).for_each(|tick| blocks.record(&good(tick), accepted(&good(tick)), PERIOD_NS));
+            let mut record = if answered { good(230) } else { unanswered(230) };
+            record.skipped_before = 30;
+            blocks.record(&record, accepted(&record), PERIOD_NS);
+            blocks.close();
+            blocks.of(hop).map(|counts| above(counts, LAST_BUCKET - 1)).collect::<Vec<_>>()
+        };
+        assert_eq!(counts(true, Hop::RoundTrip), [(231, 30)]);
+        assert_eq!(counts(false, Hop::RoundTrip), [(231, 31)]);
+        // Each waits for the torque of the next tick, if one came.
+        assert_eq!(counts(true, Hop::DeadlineToTorque), [(231, 0)]);
+        assert_eq!(counts(false, Hop::DeadlineToTorque), [(231, 31)]);
     }
 
     #[test]

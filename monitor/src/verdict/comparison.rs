@@ -7,6 +7,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::blocks::{Blocks, Counts, LAST_BUCKET, least_of, most_of};
+use super::limits::are_enough;
 use crate::hops::Hop;
 
 /// Draws.
@@ -24,17 +25,26 @@ pub struct Ratio {
     pub hop: String,
     /// The quantile's key.
     pub quantile: String,
-    /// In the first run, ns; none where the torque never came.
+    /// In the first run, ns; none where there is no such time, see `a_why`.
     pub a_ns: Option<f64>,
     /// In the second, ns.
     pub b_ns: Option<f64>,
-    /// b / a; none where one of them is zero or never.
+    /// Why the first run has none: `never` (more ticks than the quantile leaves out got no torque), `too few` (samples for this
+    /// quantile) or `absent` (no sample at all).
+    pub a_why: Option<String>,
+    /// The same of the second run.
+    pub b_why: Option<String>,
+    /// Samples of the first run, with the ticks that got no torque where the hop ends with one.
+    pub a_n: u64,
+    /// Samples of the second run.
+    pub b_n: u64,
+    /// b / a; none where one of them is zero or not there.
     pub ratio: Option<f64>,
     /// Its lower limit at 95 %; none with too few blocks, or where some of the draws have no ratio there.
     pub lower: Option<f64>,
     /// Its upper limit.
     pub upper: Option<f64>,
-    /// Why there is no ratio: `zero` or `never`.
+    /// Why there is no ratio: `zero`, `never`, `too few` or `absent`.
     pub why_no_ratio: Option<String>,
     /// Whether there are too few blocks for an interval.
     pub few_blocks: bool,
@@ -48,13 +58,19 @@ fn came(value_ns: f64) -> Option<f64> {
     (value_ns < least_of(LAST_BUCKET) as f64).then_some(value_ns)
 }
 
-/// b / a, or why there is none.
-fn ratio_of(a_ns: f64, b_ns: f64) -> Result<f64, &'static str> {
-    match (came(a_ns), came(b_ns)) {
-        (Some(a_ns), Some(b_ns)) if a_ns >= ZERO_NS && b_ns >= ZERO_NS => Ok(b_ns / a_ns),
-        (Some(_), Some(_)) => Err("zero"),
-        _ => Err("never"),
+/// A quantile of so many samples, or why there is none.
+fn known(value_ns: f64, samples: u64, quantile: f64) -> Result<f64, &'static str> {
+    match samples {
+        0 => Err("absent"),
+        _ if !are_enough(samples, quantile) => Err("too few"),
+        _ => came(value_ns).ok_or("never"),
     }
+}
+
+/// b / a, or why there is none.
+fn ratio_of(a_ns: Result<f64, &'static str>, b_ns: Result<f64, &'static str>) -> Result<f64, &'static str> {
+    let (a_ns, b_ns) = (a_ns?, b_ns?);
+    if a_ns >= ZERO_NS && b_ns >= ZERO_NS { Ok(b_ns / a_ns) } else { Err("zero") }
 }
 
 /// SplitMix64 (Steele, Lea, Flood 2014).
@@ -100,42 +116,34 @@ pub fn compare(a: &Blocks, b: &Blocks) -> Vec<Ratio> {
     Hop::ALL.into_iter().flat_map(|hop| compare_hop(hop, a, b)).collect()
 }
 
-/// The ratios of all quantiles of one hop; none if a run doesn't have it.
+/// The ratios of all quantiles of one hop; none if neither run has it.
 #[must_use]
 pub fn compare_hop(hop: Hop, a: &Blocks, b: &Blocks) -> Vec<Ratio> {
     let (a, b): (Vec<&Counts>, Vec<&Counts>) = (a.of(hop).collect(), b.of(hop).collect());
-    if a.is_empty() || b.is_empty() {
+    if a.is_empty() && b.is_empty() {
         return Vec::new();
     }
     let mut totals = vec![0; usize::from(LAST_BUCKET) + 1];
     let (of_a, of_b) = (quantiles_of(&a, &mut totals), quantiles_of(&b, &mut totals));
-    let mut drawn: [Vec<f64>; QUANTILES.len()] = Default::default();
-    if a.len() >= BLOCKS_MIN && b.len() >= BLOCKS_MIN {
-        let mut random = Random(SEED);
-        for _ in 0..RESAMPLES {
-            let mut draw = |from: &[&Counts]| {
-                let chosen: Vec<&Counts> = (0..from.len()).map(|_| from[random.below(from.len())]).collect();
-                quantiles_of(&chosen, &mut totals)
-            };
-            let (of_a, of_b) = (draw(&a), draw(&b));
-            for (index, ratios) in drawn.iter_mut().enumerate() {
-                // One without a ratio lies at the end that it belongs to.
-                let end = if came(of_a[index]).is_none() || of_b[index] < ZERO_NS { 0.0 } else { f64::INFINITY };
-                ratios.push(ratio_of(of_a[index], of_b[index]).unwrap_or(end));
-            }
-        }
-    }
-    let one = |(index, (name, _)): (usize, &(&str, f64))| {
+    let mut drawn = draw_ratios(&a, &b, &mut totals);
+    let samples = |of: &[&Counts]| of.iter().flat_map(|counts| counts.iter()).map(|(_, n)| u64::from(*n)).sum::<u64>();
+    let (a_n, b_n) = (samples(&a), samples(&b));
+    let one = |(index, (name, quantile)): (usize, &(&str, f64))| {
         let ratios = &mut drawn[index];
         ratios.sort_by(f64::total_cmp);
-        let found = ratio_of(of_a[index], of_b[index]);
+        let (a_ns, b_ns) = (known(of_a[index], a_n, *quantile), known(of_b[index], b_n, *quantile));
+        let found = ratio_of(a_ns, b_ns);
         let is_ratio = |limit: &f64| found.is_ok() && limit.is_finite() && *limit > 0.0;
         let at = |share: usize| ratios.get(ratios.len() * share / 1000).copied().filter(is_ratio);
         Ratio {
             hop: hop.name().to_owned(),
             quantile: (*name).to_owned(),
-            a_ns: came(of_a[index]),
-            b_ns: came(of_b[index]),
+            a_ns: a_ns.ok(),
+            b_ns: b_ns.ok(),
+            a_why: a_ns.err().map(str::to_owned),
+            b_why: b_ns.err().map(str::to_owned),
+            a_n,
+            b_n,
             ratio: found.ok(),
             lower: at(25),
             upper: at(975),
@@ -144,6 +152,29 @@ pub fn compare_hop(hop: Hop, a: &Blocks, b: &Blocks) -> Vec<Ratio> {
         }
     };
     QUANTILES.iter().enumerate().map(one).collect()
+}
+
+/// The ratios of each quantile in resampled blocks; none with too few blocks.
+fn draw_ratios(a: &[&Counts], b: &[&Counts], totals: &mut [u64]) -> [Vec<f64>; QUANTILES.len()] {
+    let mut drawn: [Vec<f64>; QUANTILES.len()] = Default::default();
+    if a.len() < BLOCKS_MIN || b.len() < BLOCKS_MIN {
+        return drawn;
+    }
+    let mut random = Random(SEED);
+    for _ in 0..RESAMPLES {
+        let mut draw = |from: &[&Counts]| {
+            let chosen: Vec<&Counts> = (0..from.len()).map(|_| from[random.below(from.len())]).collect();
+            quantiles_of(&chosen, totals)
+        };
+        let (of_a, of_b) = (draw(a), draw(b));
+        for (index, ratios) in drawn.iter_mut().enumerate() {
+            // One without a ratio lies at the end that it belongs to.
+            let end = if came(of_a[index]).is_none() || of_b[index] < ZERO_NS { 0.0 } else { f64::INFINITY };
+            let [a_ns, b_ns] = [of_a[index], of_b[index]].map(|value_ns| came(value_ns).ok_or("never"));
+            ratios.push(ratio_of(a_ns, b_ns).unwrap_or(end));
+        }
+    }
+    drawn
 }
 
 /// A quantile of one run.
@@ -191,14 +222,15 @@ pub fn table(ratios: &[Ratio]) -> String {
             Some(_) if one.few_blocks => format!("needs {BLOCKS_MIN} blocks of 250 ms in each"),
             Some(_) => format!("{} to {}", limit(one.lower), limit(one.upper)),
         };
-        let ns = |value_ns: Option<f64>| match value_ns {
-            None => "never".to_owned(),
+        let ns = |value_ns: Option<f64>, why: &Option<String>| match value_ns {
+            None => why.clone().unwrap_or_else(|| "never".to_owned()),
             Some(value_ns) if value_ns < ZERO_NS => "zero".to_owned(),
             value_ns => time(value_ns),
         };
         let ratio = one.ratio.map_or_else(|| "none".to_owned(), |ratio| format!("{ratio:.3}"));
-        let Ratio { hop, quantile, a_ns, b_ns, .. } = one;
-        let line = format!("{hop:<22}{quantile:<7}{:>12}{:>12}{ratio:>9}  {interval}", ns(*a_ns), ns(*b_ns));
+        let Ratio { hop, quantile, a_ns, b_ns, a_why, b_why, .. } = one;
+        let line =
+            format!("{hop:<22}{quantile:<7}{:>12}{:>12}{ratio:>9}  {interval}", ns(*a_ns, a_why), ns(*b_ns, b_why));
         let _ = writeln!(text, "{}", line.trim_end());
     }
     text
@@ -273,11 +305,45 @@ mod tests {
     }
 
     #[test]
+    fn a_run_with_few_round_trips_or_none_looks_no_better_for_it() {
+        // 28 of 400 ticks got a torque, each in the same 10 µs.
+        let mut few = Blocks::new(1_000_000);
+        let mut hops = vec![Vec::new(); Hop::ALL.len()];
+        hops[Hop::RoundTrip as usize] = vec![(bucket(10_000), 28), (LAST_BUCKET, 372)];
+        hops[Hop::Compute as usize] = vec![(bucket(300), 28)];
+        few.push(Block { index: 0, hops });
+        let mut good = run(1, 40, 10_000);
+        let mut hops = vec![Vec::new(); Hop::ALL.len()];
+        hops[Hop::Compute as usize] = vec![(bucket(300), 1000)];
+        good.push(Block { index: 40, hops });
+        let ratios = compare(&good, &few);
+        let of = |hop: Hop, quantile: &str| {
+            ratios.iter().find(|one| one.hop == hop.name() && one.quantile == quantile).unwrap()
+        };
+        let why = |one: &Ratio| (one.a_why.clone(), one.b_why.clone(), one.ratio);
+        for quantile in ["p50", "p90", "p99"] {
+            assert_eq!(why(of(Hop::RoundTrip, quantile)), (None, Some("never".into()), None), "{quantile}");
+        }
+        // 400 samples say nothing of the worst thousandth, 28 nothing of the worst hundredth.
+        assert_eq!(why(of(Hop::RoundTrip, "p99_9")), (None, Some("too few".into()), None));
+        assert_eq!(why(of(Hop::Compute, "p99")), (None, Some("too few".into()), None));
+        assert_eq!(of(Hop::Compute, "p50").ratio, Some(1.0));
+        assert_eq!((of(Hop::RoundTrip, "p50").a_n, of(Hop::RoundTrip, "p50").b_n), (10_000, 400));
+        let text = table(&ratios);
+        assert!(text.contains("too few") && text.contains("never"), "{text}");
+        // A hop that one run has none of is a line, and not left out.
+        let none = Blocks::new(1_000_000);
+        let ratios = compare(&good, &none);
+        assert!(!ratios.is_empty() && ratios.iter().all(|one| one.b_why.as_deref() == Some("absent")), "{ratios:?}");
+        assert!(compare(&none, &none).is_empty());
+    }
+
+    #[test]
     fn the_same_files_give_the_same_numbers_and_few_blocks_give_no_interval() {
         let (a, b) = (run(1, 12, 10_000), run(2, 12, 10_000));
         assert_eq!(compare(&a, &b), compare(&a, &b));
         assert!(
-            compare(&a, &run(2, 3, 10_000))
+            compare(&a, &run(2, 5, 10_000))
                 .iter()
                 .all(|ratio| ratio.lower.is_none() && ratio.few_blocks && ratio.ratio > Some(0.9))
         );

@@ -14,7 +14,7 @@ use loopbound_shared::sample::Counters;
 use serde_json::Value;
 
 use super::blocks::{Blocks, LAST_BUCKET, NEVER_NS};
-use super::limits::{Limits, estimate, limits};
+use super::limits::{Limits, are_enough, estimate, limits};
 use crate::cause::Cause;
 use crate::hops::Hop;
 use crate::summary::{Finding, Judgement, Summary, Verdict, counters_by_name};
@@ -213,8 +213,7 @@ fn with_absent(key: &str, found: Option<Value>, which: Option<(Hop, f64)>, block
         (Some(hop), _) => {
             let Some((_, quantile)) = which else { return (found, String::new()) };
             let samples: u64 = blocks.of(hop).flatten().map(|(_, n)| u64::from(*n)).sum();
-            // With fewer, the quantile is the largest sample: nothing is known of what lies above it.
-            if samples > 0 && (samples as f64) < (1.0 / (1.0 - quantile)).round() {
+            if samples > 0 && !are_enough(samples, quantile) {
                 return (None, format!(" of {samples} samples, too few for this quantile"));
             }
             if absent == 0 {

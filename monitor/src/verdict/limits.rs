@@ -134,5 +134,11 @@ pub fn estimate<'a>(quantile: f64, blocks: impl Iterator<Item = &'a Counts> + Cl
     (all > 0).then(|| most_of(partition(|threshold| late(threshold) as f64 > allowed)))
 }
 
+/// Whether so many samples say anything of a quantile: with fewer it is the largest sample, and nothing is known of what lies above.
+#[must_use]
+pub fn are_enough(samples: u64, quantile: f64) -> bool {
+    samples as f64 >= (1.0 / (1.0 - quantile)).round()
+}
+
 #[cfg(test)]
 mod tests;

@@ -66,6 +66,7 @@ fn case_of_the_run(verdict: &Verdict) -> Option<(&'static str, Finding)> {
     let name = match headline {
         Headline::Diverged => "the loop does not diverge",
         Headline::RoleLost | Headline::Incomplete | Headline::Internal => "the run is complete",
+        Headline::SwapRefused => "the scheduled swaps are carried out",
         _ => "the bound holds",
     };
     let outcome = match headline {
