@@ -17,7 +17,7 @@ use loopbound_shared::say;
 use crate::exit::Exit;
 use crate::{
     bound, check, clean, compare, doctor, fault, keeper, model, needs, pages, prepare, ps, replay, report, roles, run,
-    study, swap,
+    signals, study, swap,
 };
 
 /// kHz control loops split across processes over shared memory: latency measured to the nanosecond, and a Lyapunov
@@ -335,6 +335,7 @@ pub fn main() -> ExitCode {
         Err(error) => return not_parsed(&error).into(),
     };
     needs::raise_limits();
+    signals::let_writes_fail();
     let printing = prints_its_result(&cli.command);
     let exit = dispatch(cli.command).unwrap_or_else(|error| {
         say::err!("loopbound: {}", quote::lines(&one_line(&error)));

@@ -24,13 +24,19 @@ const DESCRIPTORS_MEMBER: u64 = 6;
 /// What the limit on descriptors is raised to where that is allowed.
 const DESCRIPTORS_WANTED: u64 = 1024;
 
-/// Raises the limit on this process's descriptors, which its children inherit, as far as needs no privilege.
+/// Address space of the process that has the most, bytes: 80 MB seen.
+const SPACE_BYTES: u64 = 128 << 20;
+
+/// Raises the limits on this process's descriptors and on the length of its files, which its children inherit, as far as
+/// needs no privilege.
 pub fn raise_limits() {
     let limit = getrlimit(Resource::Nofile);
     let wanted = limit.maximum.map_or(DESCRIPTORS_WANTED, |most| most.min(DESCRIPTORS_WANTED));
     if limit.current.is_some_and(|current| current < wanted) {
         let _ = setrlimit(Resource::Nofile, Rlimit { current: Some(wanted), maximum: limit.maximum });
     }
+    let maximum = getrlimit(Resource::Fsize).maximum;
+    let _ = setrlimit(Resource::Fsize, Rlimit { current: maximum, maximum });
 }
 
 /// Whether this host has what a run of `scenario` needs.
@@ -41,6 +47,10 @@ pub fn check(scenario: &Scenario) -> anyhow::Result<()> {
     let controllers = controllers::of(scenario).len() as u64;
     check_proc(Path::new("/proc/self/exe"))?;
     check_descriptors(controllers.saturating_sub(1) + GUESTS)?;
+    // The samples of a group are files in memory.
+    let bytes = room::needed(controllers, GUESTS).bytes;
+    check_bytes(Resource::Fsize, "write files of", "ulimit -f", bytes)?;
+    check_bytes(Resource::As, "have an address space of", "ulimit -v", SPACE_BYTES)?;
     Ok(room::require(room::needed(controllers, GUESTS))?)
 }
 
@@ -53,6 +63,17 @@ pub fn check_descriptors(further_members: u64) -> Result<(), Failure> {
     match getrlimit(Resource::Nofile).current {
         Some(limit) if limit < needed => Err(lacking(format!(
             "a process may have {limit} open files here, and a group of this size needs {needed}: raise the limit (ulimit -n {DESCRIPTORS_WANTED}; a container: --ulimit nofile={DESCRIPTORS_WANTED})"
+        ))),
+        _ => Ok(()),
+    }
+}
+
+fn check_bytes(resource: Resource, may: &str, command: &str, needed: u64) -> Result<(), Failure> {
+    match getrlimit(resource).current {
+        Some(limit) if limit < needed => Err(lacking(format!(
+            "a process may {may} {:.1} MB here, and a group of this size needs {:.1}: raise the limit ({command} unlimited)",
+            limit as f64 * 1e-6,
+            needed as f64 * 1e-6
         ))),
         _ => Ok(()),
     }

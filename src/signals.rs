@@ -8,7 +8,7 @@ use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering::SeqCst};
 
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
 
 use crate::exit::Exit;
 use loopbound_shared::spawn;
@@ -50,6 +50,12 @@ impl Stop {
             _ => Some(Exit::Terminated),
         }
     }
+}
+
+/// A file that may not grow any more (`ulimit -f`) is an error of whoever writes it, and no reason to be killed.
+pub fn let_writes_fail() {
+    // Where the system refuses, it is as it was.
+    let _ = signal_hook::flag::register(SIGXFSZ, Arc::default());
 }
 
 /// A role's view: one flag, which its loop looks at every tick.

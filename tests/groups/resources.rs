@@ -244,3 +244,24 @@ fn results_that_a_mount_or_a_users_rights_keep_from_being_written_are_refused_be
     }
     assert!(std::fs::read_dir(&folder).expect("the folder").next().is_none(), "nothing was touched");
 }
+
+#[test]
+fn limits_on_the_length_of_files_and_on_address_space_are_named() {
+    let case = Case::new("few-bytes");
+    let limited = |limit: &str, arguments: &[&str]| {
+        let plain = case.command(arguments);
+        let mut command = Command::new("prlimit");
+        command.arg(limit).arg(plain.get_program()).args(plain.get_args()).current_dir(case.work.path());
+        command.envs(plain.get_envs().filter_map(|(key, value)| Some((key, value?))));
+        case.start_command(command)
+    };
+    let run = ["run", "--mode", "lockstep", "--duration", "60ms", "-q", "--group", &case.group];
+    for (limit, remedy) in
+        [("--fsize=100000", "ulimit -f"), ("--fsize=3000000", "ulimit -f"), ("--as=70000000", "ulimit -v")]
+    {
+        let ended = limited(limit, &run).wait();
+        assert!(ended.code == Some(70) && ended.err.contains(remedy), "{limit}: {ended:?}");
+        assert_eq!(ended.err.lines().count(), 1, "{limit}: {ended:?}");
+        case.assert_nothing_left();
+    }
+}

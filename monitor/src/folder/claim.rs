@@ -58,6 +58,9 @@ impl Claim {
         if fs::metadata(path).is_ok_and(|about| !about.is_dir()) {
             return Err(refuse(&"it is a file, allowed: a folder"));
         }
+        if fs::symlink_metadata(path).is_ok() && fs::metadata(path).is_err() {
+            return Err(refuse(&"it is a symbolic link that leads nowhere, or may not be followed"));
+        }
         let made = make(path).map_err(|error| refuse(&format!("it can't be made: {error}")))?;
         let open = || -> io::Result<(PathBuf, File)> {
             let path = path.canonicalize()?;

@@ -158,6 +158,9 @@ fn a_folder_that_was_made_for_a_run_that_is_refused_goes_again() {
     assert!(deep.join("manifest.json").exists());
     let file = folder.path().join("file");
     fs::write(&file, "x").unwrap();
+    let dangling = folder.path().join("link");
+    std::os::unix::fs::symlink("nowhere", &dangling).unwrap();
+    assert!(refusal(&dangling).contains("leads nowhere"), "{}", refusal(&dangling));
     assert!(refusal(&file).contains("it is a file"), "{}", refusal(&file));
     assert!(refusal(&file.join("below")).contains("file/below"), "{}", refusal(&file.join("below")));
 }
