@@ -7,7 +7,7 @@ use crate::law::LawKind;
 
 use super::certificate::{Certificate, Gains, StartError, certificate};
 use super::envelope::Envelope;
-use super::stability::{critical_rate, sampling_budget};
+use super::stability::{critical_rate, fast_rate};
 
 /// Candidates that are asked whether they fit, the best first.
 const TRIES: usize = 60;
@@ -55,8 +55,9 @@ impl Task<'_> {
     /// Whether a candidate is certified and keeps the room that \[11] leaves.
     #[must_use]
     pub fn suits(&self, candidate: &Candidate) -> bool {
-        let used = sampling_budget(&candidate.certificate, self.period_s, self.delay_s).map(|budget| budget.used);
-        candidate.certificate.is_certified() && used.is_none_or(|used| used <= self.room)
+        // The use alone: what is left of delay and period would cost far more than the certificate.
+        let used = || Some(fast_rate(&candidate.certificate)? / critical_rate(self.period_s, self.delay_s));
+        candidate.certificate.is_certified() && used().is_none_or(|used| used <= self.room)
     }
 
     /// C1 as it would be written for a requirement (N·m): laws that take what is required write none.
@@ -213,6 +214,7 @@ fn to_digits(value: f64, whole: impl Fn(f64) -> f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bound::stability::sampling_budget;
     use crate::bound::testing::{assume, close, default_start, unit_chain};
 
     fn task(law: LawKind, envelope: Envelope, start: StartError, delay_s: f64) -> Task<'static> {
