@@ -71,6 +71,7 @@ pub(crate) fn run<const N: usize>(core: &mut PlantCore<N>, ports: &Ports, stoppe
         ports.serve(core, &mut orders);
         clock::sleep_until_ns(clock::now_ns() + 200_000);
     }
+    ports.torque_bell.open_alarm(&ports.joined.block);
     warm_up(core, ports, &mut evidence);
     let scenario = &ports.joined.scenario;
     let times = Times::of(scenario, first_deadline(scenario));
@@ -225,6 +226,7 @@ fn one_tick<const N: usize>(
     publish_closed(core, ports);
     core.note_slack(evidence.read(), gap_ns);
     ports.serve(core, orders);
+    ports.torque_bell.set_end(block, times.grace_deadline_ns(tick + 1, times.deadline_ns(tick + 1)));
 }
 
 /// In the slack before the deadline: maps what joined (its time if it was long), takes what came late.

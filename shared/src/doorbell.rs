@@ -15,11 +15,13 @@ use std::fs::File;
 use std::io;
 use std::os::fd::AsRawFd as _;
 use std::path::Path;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::SeqCst};
 
 use rustix::mm::{MapFlags, ProtFlags, mmap, munmap};
 use rustix::thread::futex;
 
+use crate::alarm::{Alarm, BACKSTOP_NS};
 use crate::clock;
 use crate::event::Role;
 use crate::fault::board::Board;
@@ -76,6 +78,8 @@ pub struct Pace {
 pub struct ControlBlock {
     shared: *const Shared,
     place: usize,
+    /// The end of this process's waits at a doorbell, where it is set beforehand.
+    alarm: OnceLock<(Bell, Alarm)>,
     /// Holds the lock on the place.
     file: File,
 }
@@ -144,7 +148,7 @@ impl ControlBlock {
                 0,
             )?
         };
-        Ok(Self { shared: address.cast(), place: PLACES, file })
+        Ok(Self { shared: address.cast(), place: PLACES, alarm: OnceLock::new(), file })
     }
 
     fn take_place(mut self) -> io::Result<Self> {
@@ -219,24 +223,50 @@ impl ControlBlock {
         }
     }
 
+    /// Opens the alarm of the calling thread's waits at `bell`: their end can then be set off the path, by
+    /// [`Self::set_alarm`]. Without it every wait programs a timer of its own.
+    ///
+    /// # Errors
+    /// If this process has one already, or the kernel refuses the timer.
+    pub fn open_alarm(&self, bell: Bell) -> io::Result<()> {
+        // SAFETY: mapped in `map`; a block whose alarm was opened is never unmapped.
+        #[expect(unsafe_code, reason = "the signal's handler may come at any time")]
+        let word = unsafe { &(*self.shared).bells[bell as usize].word };
+        self.alarm.set((bell, Alarm::open(word)?)).map_err(|_| io::Error::other("the alarm is open already"))
+    }
+
+    /// Sets when a wait at the alarm's doorbell is to look at the clock; does nothing without an alarm.
+    pub fn set_alarm(&self, at_ns: u64) {
+        if let Some((_, alarm)) = self.alarm.get() {
+            alarm.set(at_ns);
+        }
+    }
+
+    /// When a wait at `bell` that begins now may end by itself: not before `until_ns`, and long after an alarm that will end it.
+    fn timeout_ns(&self, bell: Bell, now_ns: u64, until_ns: u64) -> u64 {
+        let alarm = self.alarm.get().filter(|(of, _)| *of == bell).map_or(0, |(_, alarm)| alarm.at_ns());
+        if now_ns < alarm { until_ns.max(alarm) + BACKSTOP_NS } else { until_ns }
+    }
+
     /// Looks by `look` until it finds something or the clock passes `until_ns`, sleeping at `bell` in between.
     pub fn wait<R>(&self, bell: Bell, until_ns: u64, mut look: impl FnMut() -> Option<R>) -> Option<R> {
-        let bell = &self.shared().bells[bell as usize];
+        let words = &self.shared().bells[bell as usize];
         let mark = 1 << self.place;
-        bell.waiting.fetch_or(mark, SeqCst);
+        words.waiting.fetch_or(mark, SeqCst);
         let found = loop {
-            let seen = bell.word.load(SeqCst);
+            let seen = words.word.load(SeqCst);
             if let Some(found) = look() {
                 break Some(found);
             }
-            if clock::now_ns() >= until_ns {
+            let now_ns = clock::now_ns();
+            if now_ns >= until_ns {
                 break None;
             }
-            let until = clock::timespec(until_ns);
+            let timeout = clock::timespec(self.timeout_ns(bell, now_ns, until_ns));
             // Woken, changed, timed out or interrupted: in any case look again. The bitset form takes an absolute time.
-            let _ = futex::wait_bitset(&bell.word, futex::Flags::empty(), seen, Some(&until), ANY);
+            let _ = futex::wait_bitset(&words.word, futex::Flags::empty(), seen, Some(&timeout), ANY);
         };
-        bell.waiting.fetch_and(!mark, SeqCst);
+        words.waiting.fetch_and(!mark, SeqCst);
         found
     }
 }
@@ -269,6 +299,10 @@ impl Drop for ControlBlock {
     fn drop(&mut self) {
         if self.place < PLACES {
             self.empty(self.place);
+        }
+        if self.alarm.get().is_some() {
+            // A signal of the alarm may be under way to another thread: the mapping stays.
+            return;
         }
         // SAFETY: mapped in `map` with this size, and no reference outlives self.
         #[expect(unsafe_code, reason = "shared memory")]
@@ -365,6 +399,49 @@ mod tests {
                 }
             }
         });
+    }
+
+    #[test]
+    fn a_wait_ends_by_its_alarm_also_if_that_went_off_before_it_and_if_its_signal_never_comes() {
+        let _alone = crate::alarm::tests::ALONE.lock();
+        let folder = tempfile::tempdir().unwrap();
+        let block = ControlBlock::create(&folder.path().join("bell")).unwrap();
+        block.open_alarm(Bell::Torque).unwrap();
+        let wait = |alarm_ns: u64, until_ns: u64| {
+            block.set_alarm(alarm_ns);
+            let looks = std::cell::Cell::new(0);
+            let nothing = block.wait(Bell::Torque, until_ns, || {
+                looks.set(looks.get() + 1);
+                // As a host that stops this thread between its look and its sleep.
+                clock::sleep_until_ns(if looks.get() == 1 { alarm_ns.min(until_ns) } else { 0 });
+                None::<()>
+            });
+            assert!(nothing.is_none() && clock::now_ns() >= until_ns);
+            clock::now_ns() - until_ns
+        };
+        let soon = || clock::now_ns() + 2_000_000;
+        let quickest = |wait: &dyn Fn() -> u64| (0..20).map(|_| wait()).min().unwrap();
+        let at_its_time = quickest(&|| {
+            let at = soon();
+            wait(at, at)
+        });
+        assert!(at_its_time < BACKSTOP_NS / 2, "{at_its_time} ns late: not by the alarm");
+        // The grace deadline counts from the publication, so it comes a little after the alarm.
+        let a_little_later = quickest(&|| {
+            let at = soon();
+            wait(at, at + 300_000)
+        });
+        assert!(a_little_later < BACKSTOP_NS / 2, "{a_little_later} ns late: not by its own timeout");
+        crate::alarm::tests::mask(libc::SIG_BLOCK);
+        let without = {
+            let at = soon();
+            block.set_alarm(at);
+            let none = block.wait(Bell::Torque, at, || None::<()>);
+            assert!(none.is_none());
+            clock::now_ns() - at
+        };
+        crate::alarm::tests::mask(libc::SIG_UNBLOCK);
+        assert!(without >= BACKSTOP_NS / 2, "it ended {without} ns late: the signal was not kept back");
     }
 
     #[test]

@@ -3,6 +3,7 @@
 //! A process crate (`plant`, `controller`, `reference`, `monitor`) depends on this crate, on what it stands on, and on no other
 //! process. Nothing here may ever know which process it runs in.
 
+mod alarm;
 pub mod clock;
 pub mod doorbell;
 pub mod event;

@@ -50,6 +50,21 @@ impl Waiter {
         Ok(Self { mode, bell, listener, spin_ns, yields: cores == 1 })
     }
 
+    /// Opens the alarm that [`Self::set_end`] sets, where waits of this mode go to the doorbell at once and have an end that is near.
+    pub fn open_alarm(&self, block: &ControlBlock) {
+        if self.mode == Wakeup::Block {
+            // Where the kernel refuses it every wait has a timeout of its own, which costs some microseconds.
+            let _ = block.open_alarm(self.bell);
+        }
+    }
+
+    /// Sets in the slack when the next wait is to look at the clock, so that the wait itself need not.
+    pub fn set_end(&self, block: &ControlBlock, at_ns: u64) {
+        if self.mode == Wakeup::Block {
+            block.set_alarm(at_ns);
+        }
+    }
+
     /// Whether this mode wakes before the expected instant and spins towards it.
     #[must_use]
     pub fn is_time_triggered(&self) -> bool {
