@@ -59,7 +59,8 @@ pub(crate) fn run(name: &str, parent: u32, request: &realtime::Request) -> Resul
         let orders = &end.page.orders;
         let number = orders.number.load(Ordering::Acquire);
         if number == done {
-            clock::sleep_ns(200_000);
+            // Seldom: while the product is measured its controller has this core.
+            clock::sleep_ns(5_000_000);
             continue;
         }
         let order = Order {
@@ -138,6 +139,8 @@ impl EchoEnd {
                 self.answer_as_controller(order, waiter, ringer, reply);
             }
             Mechanism::Worked => self.answer_with_law(order),
+            // Processes of its own.
+            Mechanism::Product(_) => {}
         }
     }
 

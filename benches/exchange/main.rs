@@ -12,6 +12,7 @@ mod host;
 mod kernels;
 mod mechanism;
 mod plant_end;
+mod product;
 mod raw;
 mod report;
 mod statistics;
@@ -33,6 +34,7 @@ use loopbound_shared::say;
 
 use crate::mechanism::Mechanism;
 use crate::plant_end::PlantEnd;
+use crate::product::Product;
 use crate::raw::Page;
 use crate::report::Report;
 use crate::statistics::Blocks;
@@ -136,6 +138,7 @@ fn run(arguments: &Arguments) -> Result<()> {
 
 fn exchanges(arguments: &Arguments, cores: &[usize], report: &mut Report) -> Result<()> {
     let group = Group::create(&format!("bench-{}", std::process::id()))?;
+    let product = Product::start();
     let mut plant = PlantEnd::open(&group)?;
     let mut echo = Echo::start(&group, arguments)?;
     let mut entered = realtime::enter(&arguments.request(cores, 0));
@@ -146,7 +149,10 @@ fn exchanges(arguments: &Arguments, cores: &[usize], report: &mut Report) -> Res
     let block = arguments.exchanges().div_ceil(arguments.rounds);
     for _ in 0..arguments.rounds {
         for (mechanism, blocks) in &mut measured {
-            blocks.push(plant.run_block(*mechanism, block, arguments.period_ns())?);
+            blocks.push(match mechanism {
+                Mechanism::Product(mode) => product.block(*mode, block, arguments.ordinary)?,
+                _ => plant.run_block(*mechanism, block, arguments.period_ns())?,
+            });
         }
     }
     plant.dismiss();

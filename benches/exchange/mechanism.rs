@@ -17,6 +17,8 @@ pub(crate) enum Mechanism {
     Project(Wakeup),
     /// The same in `hybrid`, with the work of both ends: plant core and law for three links.
     Worked,
+    /// The processes of the product in a group, as `loopbound run` starts them.
+    Product(Wakeup),
 }
 
 /// What a mechanism is measured against, and the ratio of medians that it should not exceed.
@@ -41,13 +43,15 @@ impl Mechanism {
 
     /// Those that make sense with a pause after each exchange: a spinner without time-triggering would be stopped by
     /// the kernel for want of sleep.
-    pub(crate) const PACED: [Self; 6] = [
+    pub(crate) const PACED: [Self; 8] = [
         Self::RawFutex,
         Self::TransportEvents,
         Self::Project(Wakeup::Block),
         Self::Project(Wakeup::Event),
         Self::Project(Wakeup::Hybrid),
         Self::Project(Wakeup::Spin),
+        Self::Product(Wakeup::Block),
+        Self::Product(Wakeup::Hybrid),
     ];
 
     /// The name in the table and in JSON.
@@ -62,6 +66,10 @@ impl Mechanism {
             Self::Project(Wakeup::Block) => "loopbound block",
             Self::Project(Wakeup::Event) => "loopbound event",
             Self::Worked => "hybrid with plant and law",
+            Self::Product(Wakeup::Spin) => "loopbound run, spin",
+            Self::Product(Wakeup::Hybrid) => "loopbound run, hybrid",
+            Self::Product(Wakeup::Block) => "loopbound run, block",
+            Self::Product(Wakeup::Event) => "loopbound run, event",
         }
     }
 
@@ -74,6 +82,7 @@ impl Mechanism {
     pub(crate) fn baseline(self, paced: bool) -> Option<Baseline> {
         let (mechanism, aim) = match self {
             Self::RawSpin | Self::RawFutex => return None,
+            Self::Product(Wakeup::Block) => (Self::RawFutex, Some(1.25)),
             _ if paced => (Self::RawFutex, None),
             Self::TransportPolled => (Self::RawSpin, None),
             Self::TransportEvents => (Self::RawFutex, None),
@@ -81,6 +90,7 @@ impl Mechanism {
             Self::Project(Wakeup::Block) => (Self::RawFutex, Some(1.25)),
             Self::Project(Wakeup::Event) => (Self::TransportEvents, None),
             Self::Worked => (Self::Project(Wakeup::Hybrid), None),
+            Self::Product(_) => (Self::RawFutex, None),
         };
         Some(Baseline { mechanism, aim })
     }

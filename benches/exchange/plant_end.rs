@@ -159,6 +159,8 @@ impl PlantEnd {
                 })
             }
             Mechanism::Worked => self.exchange_with_plant(plan, record),
+            // Processes of its own.
+            Mechanism::Product(_) => true,
         }
     }
 
