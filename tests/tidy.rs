@@ -320,6 +320,62 @@ fn files_stay_short_enough_to_read() {
     assert_eq!(long, []);
 }
 
+/// The names that code declares as public: functions, types, constants.
+fn public_names(code: &str) -> Vec<&str> {
+    const KINDS: [&str; 7] = ["fn ", "struct ", "enum ", "const ", "static ", "trait ", "type "];
+    let mut names = Vec::new();
+    for (at, found) in code
+        .match_indices("pub")
+        .filter(|(at, _)| has_word(&code[at.saturating_sub(1)..(at + 4).min(code.len())], "pub"))
+    {
+        let mut rest = &code[at + found.len()..];
+        if rest.starts_with('(') {
+            rest = &rest[rest.find(')').map_or(0, |end| end + 1)..];
+        }
+        rest = rest.trim_start();
+        for qualifier in ["const ", "unsafe ", "async "] {
+            rest = rest.strip_prefix(qualifier).filter(|rest| rest.starts_with("fn ")).unwrap_or(rest);
+        }
+        if let Some(name) = KINDS.iter().find_map(|kind| rest.strip_prefix(kind)) {
+            names.push(&name[..name.find(|c: char| !(c.is_alphanumeric() || c == '_')).unwrap_or(name.len())]);
+        }
+    }
+    names
+}
+
+/// The variants of enums that have a code of their own, `Name = 7,`.
+fn coded_variants(code: &str) -> impl Iterator<Item = &str> {
+    code.lines().filter_map(|line| {
+        let (name, number) = line.trim().split_once(" = ")?;
+        let is_name = name.starts_with(char::is_uppercase) && name.chars().all(char::is_alphanumeric);
+        (is_name && number.starts_with(|c: char| c.is_ascii_digit()) && number.contains(',')).then_some(name)
+    })
+}
+
+#[test]
+fn nothing_is_public_that_nobody_names() {
+    let code: BTreeMap<String, String> = all_sources().into_iter().map(|(name, text)| (name, code_of(&text))).collect();
+    let mut times: BTreeMap<&str, usize> = BTreeMap::new();
+    for word in code.values().flat_map(|code| code.split(|c: char| !(c.is_alphanumeric() || c == '_'))) {
+        *times.entry(word).or_default() += 1;
+    }
+    // serde is given functions by their names.
+    let sources = all_sources();
+    let serdes = sources.values().flat_map(|text| text.lines().filter(|line| line.contains("with = \"")));
+    for word in serdes.flat_map(|line| line.split(|c: char| !(c.is_alphanumeric() || c == '_'))) {
+        *times.entry(word).or_default() += 1;
+    }
+    let unnamed: Vec<String> = code
+        .iter()
+        .flat_map(|(file, code)| {
+            public_names(code).into_iter().chain(coded_variants(code)).map(move |name| (file, name))
+        })
+        .filter(|(_, name)| times.get(name) == Some(&1))
+        .map(|(file, name)| format!("{file}: {name}"))
+        .collect();
+    assert_eq!(unnamed, NONE);
+}
+
 #[test]
 fn words_in_comments_and_strings_are_not_code() {
     let text = "// unsafe\nlet a = \"unsafe \\\" unsafe\"; /* unsafe */ let b = r#\"unsafe \" unsafe\"#;\nlet c = ('\"', '\\'', 'x');";

@@ -38,8 +38,6 @@ pub(crate) struct Member {
     pub(crate) standing: Standing,
     /// Its good torque for the open tick.
     pub(crate) answer: Option<Torque>,
-    /// When that arrived.
-    pub(crate) answered_ns: u64,
     /// Whether anything of it came in the open tick, good or not.
     heard: bool,
     /// Whether that was good and on time, also of a fenced one.
@@ -191,15 +189,8 @@ impl Authority {
         }
         if self.member(id).is_none() {
             let place = self.members.iter_mut().find(|m| m.is_none()).ok_or(Refusal::Busy)?;
-            *place = Some(Member {
-                id,
-                standing: Standing::Standby,
-                answer: None,
-                answered_ns: 0,
-                heard: false,
-                good: false,
-                streak: 0,
-            });
+            *place =
+                Some(Member { id, standing: Standing::Standby, answer: None, heard: false, good: false, streak: 0 });
             self.happen(HappeningKind::MemberAdded, id, 0, 0.0);
         }
         Ok(())
@@ -255,7 +246,7 @@ impl Authority {
             if !member.good && !squeezed {
                 member.streak = 0;
             }
-            (member.answer, member.answered_ns) = (None, 0);
+            member.answer = None;
             (member.heard, member.good) = (false, false);
         }
     }
@@ -382,7 +373,7 @@ impl Authority {
             member.answer = None;
             return Acceptance::Fenced;
         }
-        (member.answer, member.answered_ns) = (Some(*torque), arrived_ns);
+        member.answer = Some(*torque);
         match (member.standing, on_time) {
             (Standing::Active, true) if !settled => Acceptance::Applied,
             (Standing::Active, false) if !settled => Acceptance::Late,

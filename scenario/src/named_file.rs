@@ -28,12 +28,6 @@ impl NamedFile {
         Self { path, text: Arc::clone(&self.text) }
     }
 
-    /// The file at `path` whose text is known already.
-    #[must_use]
-    pub fn with_text(path: PathBuf, text: &str) -> Self {
-        Self { path, text: Arc::new(OnceLock::from(Arc::from(text))) }
-    }
-
     /// Where it is.
     #[must_use]
     pub fn path(&self) -> &Path {

@@ -148,8 +148,6 @@ codes! {
         /// A fault was injected by command. Subject: the controller it befalls; detail: a `LiveFault` code; value: its
         /// length in ticks.
         FaultInjected = 10, "fault injected";
-        /// A blend ended. Subject: controller id.
-        BlendEnded = 11, "blend ended";
         /// A standby's torque acted and the controller in charge stays it: the plant had begun the tick too late for an answer,
         /// or a switch is still being watched. Subject: the standby; detail: the one in charge.
         StoodIn = 12, "stood in";
@@ -244,8 +242,6 @@ codes! {
         Promise = 11, "the bound's promise was broken after the switch";
         /// Deadlines were missed after the switch.
         Deadlines = 12, "deadlines were missed after the switch";
-        /// The gate did not pass in time.
-        TimedOut = 13, "the gate did not pass in time";
         /// The controller left.
         Gone = 14, "that controller is gone";
         /// The command came from a process that is not the supervisor of this run.

@@ -15,10 +15,6 @@ pub const NODES_MAX: usize = 32;
 pub trait Topic: Message + iceoryx2::prelude::ZeroCopySend + core::fmt::Debug {
     /// Name of the service.
     const NAME: &'static str;
-    /// Who writes.
-    const WRITER: &'static str;
-    /// Who reads.
-    const READERS: &'static str;
     /// Samples that a reader's buffer holds.
     const DEPTH: usize;
     /// Past samples that a late reader is given.
@@ -28,26 +24,24 @@ pub trait Topic: Message + iceoryx2::prelude::ZeroCopySend + core::fmt::Debug {
 }
 
 macro_rules! topics {
-    ($($sample:ty: $name:literal, $writer:literal => $readers:literal, depth $depth:literal, history $history:literal;)*) => {
+    ($($sample:ty: $name:literal, depth $depth:literal, history $history:literal;)*) => {
         $(impl Topic for $sample {
             const NAME: &'static str = $name;
-            const WRITER: &'static str = $writer;
-            const READERS: &'static str = $readers;
             const DEPTH: usize = $depth;
             const HISTORY: usize = $history;
         })*
-
-        /// The table as text: name, writer, readers, depth, history.
-        pub const TABLE: &[(&str, &str, &str, usize, usize)] = &[
-            $((<$sample>::NAME, <$sample>::WRITER, <$sample>::READERS, <$sample>::DEPTH, <$sample>::HISTORY),)*
-        ];
     };
 }
 
 topics! {
-    Setpoint:   "setpoint",    "reference"     => "controllers, plant",               depth 2048, history 2048;
-    State:      "state",       "plant"         => "controllers",                      depth 64,   history 1;
-    Torque:     "torque",      "controllers"   => "plant",                            depth 64,   history 0;
-    TickRecord: "tick-record", "plant"         => "monitors",                         depth 2048, history 0;
-    Announce:   "announce",    "all"           => "supervisor, plant, monitors",      depth 64,   history 8;
+    // Of the reference, for controllers and plant.
+    Setpoint:   "setpoint",    depth 2048, history 2048;
+    // Of the plant, for controllers and supervisor.
+    State:      "state",       depth 64,   history 1;
+    // Of the controllers, for the plant, and in lockstep for the supervisor.
+    Torque:     "torque",      depth 64,   history 0;
+    // Of the plant, for monitors.
+    TickRecord: "tick-record", depth 2048, history 0;
+    // Of all, for supervisor, plant and monitors.
+    Announce:   "announce",    depth 64,   history 8;
 }

@@ -19,7 +19,7 @@ pub fn words(happening: &Happening) -> String {
         }
         Some(HappeningKind::Rollback) => format!("controller {subject} is in charge again: {}", refusal(detail)),
         Some(HappeningKind::SwapRefused) => format!("to controller {subject}: {}{}", refusal(detail), found(value)),
-        Some(HappeningKind::FirstTorque | HappeningKind::BlendEnded) => format!("of controller {subject}"),
+        Some(HappeningKind::FirstTorque) => format!("of controller {subject}"),
         Some(HappeningKind::Fallback) => fallback(subject, detail),
         Some(HappeningKind::Joined) => format!("a port was mapped in {:.1} µs", detail as f64 * 1e-3),
         Some(HappeningKind::MemberAdded | HappeningKind::MemberRemoved) => format!("controller {subject}"),

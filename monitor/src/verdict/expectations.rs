@@ -133,12 +133,6 @@ pub fn judge(section: &ExpectSection, summary: &Summary, blocks: &Blocks, natura
     Verdict { expectations, ..Verdict::of(headline, reasons) }
 }
 
-/// Whether more data could change the verdict: something is undecided and nothing has failed.
-#[must_use]
-pub fn is_undecided(verdict: &Verdict) -> bool {
-    verdict.headline() == Headline::Inconclusive
-}
-
 fn by_limits(expectation: &Expectation, (hop, quantile): (Hop, f64), blocks: &Blocks, alpha: f64) -> Judgement {
     let relative = matches!(expectation.budget, Budget::Floor(_));
     let alpha = if relative { alpha / 2.0 } else { alpha };
