@@ -327,6 +327,31 @@ fn one_thing_has_one_word_in_the_documents() {
     assert_eq!(words_said_otherwise("The fault befalls it, and is put\ndown to the host").len(), 2);
 }
 
+/// The labels of the screen of a run, as the code writes them.
+fn labels_of_the_screen() -> Vec<String> {
+    let code = read(&root().join("monitor/src/render.rs"));
+    let literals = |before: &'static str| {
+        let after = code.match_indices(before).map(|(at, found)| &code[at + found.len()..]).collect::<Vec<_>>();
+        after.into_iter().filter_map(|rest| rest.split_once('"').map(|(label, _)| label.to_owned())).collect::<Vec<_>>()
+    };
+    let mut labels: Vec<String> = ["entry(\"", "let mut label = \""].into_iter().flat_map(literals).collect();
+    let hops = code.lines().filter(|line| line.trim_start().starts_with("Hop::"));
+    labels.extend(hops.filter_map(|line| Some(line.split_once("=> \"")?.1.split_once('"')?.0.to_owned())));
+    labels.retain(|label| !label.is_empty());
+    labels
+}
+
+#[test]
+fn every_line_of_the_screen_is_explained() {
+    let page = read(&root().join("docs/screen.md"));
+    let labels = labels_of_the_screen();
+    assert!(labels.len() > 20, "only {labels:?}: they are not where this test looks");
+    for label in labels {
+        let explained = page.lines().any(|line| line.strip_prefix("| ").is_some_and(|row| row.starts_with(&label)));
+        assert!(explained, "docs/screen.md does not say what the line \"{label}\" means");
+    }
+}
+
 #[test]
 fn the_twelve_lines_of_the_first_page_are_of_the_whole_screen_and_have_a_note_each() {
     let readme = read(&root().join("README.md"));
