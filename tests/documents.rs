@@ -1,5 +1,6 @@
 //! The documents say what the tree says: the code map of ARCHITECTURE.md, the keys of docs/scenario.md, and the headlines of
-//! docs/exit-codes.md. Every command has its line, every link leads somewhere, and one thing has one word.
+//! docs/exit-codes.md. Every command has its line, each that is shown can
+//! be typed, every line of the screen is explained, every link leads somewhere, and one thing has one word.
 //!
 //! The map is made of the files' own first sentences. After a change, `UPDATE_DOCUMENTS=1 cargo test --test documents`
 //! writes it and the table of headlines anew.
@@ -8,7 +9,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use clap::CommandFactory as _;
+use clap::{CommandFactory as _, Parser as _};
 use loopbound::cli::Cli;
 use loopbound_shared::headline::Headline;
 
@@ -280,6 +281,56 @@ fn every_command_has_an_example_in_the_page_of_commands() {
     for command in Cli::command().get_subcommands().filter(|command| !command.is_hide_set()) {
         let name = command.get_name();
         assert!(page.contains(&format!("loopbound {name}")), "docs/commands.md does not show `loopbound {name}`");
+    }
+}
+
+/// What a reader may write in the place of a word in capitals.
+const FOR_EXAMPLE: [(&str, &str); 5] =
+    [("ADDR", "8765"), ("COMMAND", "run"), ("KIND", "delay"), ("LAW", "ctc"), ("SHELL", "bash")];
+
+/// The words of a command as it stands in a document, up to a remark; none if it is no command of this program.
+fn words_of_a_command(text: &str) -> Option<Vec<String>> {
+    let text = text.strip_prefix("loopbound ")?;
+    let text = text.split("  ").next().expect("a split has a first part");
+    let words = text.split_whitespace().take_while(|word| !matches!(*word, "&" | "#"));
+    let example =
+        |word: &str| FOR_EXAMPLE.iter().find(|(place, _)| *place == word).map_or(word, |(_, value)| value).to_owned();
+    Some(std::iter::once("loopbound".to_owned()).chain(words.map(|word| example(word.trim_matches('"')))).collect())
+}
+
+/// The commands between backticks, and those that have a line of their own.
+fn commands_of(text: &str) -> Vec<Vec<String>> {
+    let known: Vec<String> = Cli::command().get_subcommands().map(|command| command.get_name().to_owned()).collect();
+    let lines = text.lines().filter_map(|line| words_of_a_command(line.trim_start()));
+    let lines = lines.filter(|words| words.get(1).is_some_and(|name| known.contains(name)));
+    let outside = without_code(text).split_whitespace().collect::<Vec<_>>().join(" ");
+    let spans = outside.split('`').skip(1).step_by(2).filter_map(words_of_a_command);
+    lines.chain(spans).collect()
+}
+
+/// What the program itself would say against a command; what a sentence leaves out of it is not asked for.
+fn refused(words: &[String]) -> Option<String> {
+    use clap::error::ErrorKind::{DisplayHelp, DisplayHelpOnMissingArgumentOrSubcommand, MissingRequiredArgument};
+    let error = Cli::try_parse_from(words).err()?;
+    let left_out =
+        matches!(error.kind(), DisplayHelp | DisplayHelpOnMissingArgumentOrSubcommand | MissingRequiredArgument);
+    (!left_out).then(|| error.to_string())
+}
+
+#[test]
+fn every_command_that_a_document_shows_can_be_typed() {
+    let mut commands = 0;
+    for name in documents().into_keys().filter(|name| name != "CHANGELOG.md") {
+        for words in commands_of(&read(&root().join(&name))) {
+            commands += 1;
+            assert_eq!(refused(&words), None, "{name} shows `{}`", words.join(" "));
+        }
+    }
+    assert!(commands > 50, "only {commands} commands: they are not where this test looks");
+    for wrong in
+        ["loopbound runn", "loopbound run --rat 1kHz", "loopbound run --rate 1", "loopbound fault --group g shake"]
+    {
+        assert!(refused(&words_of_a_command(wrong).expect("a command")).is_some(), "{wrong}");
     }
 }
 
