@@ -1,6 +1,6 @@
 //! The documents say what the tree says: the code map of ARCHITECTURE.md, the keys of docs/scenario.md, and the headlines of
-//! docs/exit-codes.md. Every command has its line, each that is shown can
-//! be typed, every line of the screen is explained, every link leads somewhere, and one thing has one word.
+//! docs/exit-codes.md. Every command has its line, each that is shown can be typed, every line of the screen is explained, every
+//! link leads somewhere, and one thing has one word.
 //!
 //! The map is made of the files' own first sentences. After a change, `UPDATE_DOCUMENTS=1 cargo test --test documents`
 //! writes it and the table of headlines anew.
