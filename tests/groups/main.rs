@@ -17,6 +17,7 @@ mod untested;
 mod attached;
 mod deaths;
 mod diverged;
+mod earlier;
 mod faults;
 mod guests;
 mod impostors;
