@@ -10,7 +10,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-use loopbound::check::read_blocks;
+use loopbound::commands::check::read_blocks;
 use loopbound_monitor::verdict::blocks::Blocks;
 use loopbound_monitor::verdict::comparison::compare;
 use loopbound_shared::clock;

@@ -8,7 +8,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
-use loopbound::background::{Background, Rhythm, Work};
+use loopbound::commands::study::load::background::{Background, Rhythm, Work};
 use loopbound_shared::say;
 use serde_json::Value;
 

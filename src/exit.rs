@@ -112,6 +112,19 @@ impl std::fmt::Display for Failure {
 
 impl std::error::Error for Failure {}
 
+/// What was tried, then why it failed, without saying anything twice: some errors quote their cause themselves.
+pub(crate) fn one_line(error: &anyhow::Error) -> String {
+    let mut line = String::new();
+    for part in error.chain().map(ToString::to_string) {
+        if line.is_empty() {
+            line = part;
+        } else if !line.contains(&part) {
+            line = format!("{line}: {part}");
+        }
+    }
+    line
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -131,5 +144,11 @@ mod tests {
         let folder = GroupError::Folder { path: "/x".into(), source: std::io::Error::other("full") };
         assert_eq!(Exit::of(&folder.into()), Exit::Internal);
         assert_eq!(Exit::of(&anyhow::Error::new(RoleError::Other("port".into()))), Exit::Internal);
+    }
+
+    #[test]
+    fn an_error_line_says_no_cause_twice() {
+        let quoted = anyhow::anyhow!("no such file").context("x.toml: no such file").context("reading");
+        assert_eq!(one_line(&quoted), "reading: x.toml: no such file");
     }
 }

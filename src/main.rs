@@ -3,5 +3,5 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    loopbound::cli::main()
+    loopbound::args::main()
 }

@@ -1,8 +1,8 @@
 //! Diagnoses end to end in lockstep: what goes wrong on purpose is named for what it is, and nothing else is named.
 #![allow(clippy::disallowed_macros, reason = "the harness keeps what a test prints")]
 
+use loopbound::commands::study::measure::tracker_config;
 use loopbound::inprocess::InProcess;
-use loopbound::study::measure::tracker_config;
 use loopbound_controller::{Builtin, ControllerCore};
 use loopbound_monitor::Summary;
 use loopbound_monitor::judge::Judge;

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use loopbound::inprocess::InProcess;
-use loopbound::prepare;
+use loopbound::supervise::prepare;
 use loopbound_model::rng::{Stream, bits};
 use loopbound_model::trajectory::Waypoints;
 use loopbound_model::with_links;

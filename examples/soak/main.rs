@@ -52,7 +52,7 @@ const SUBCOMMANDS: [&str; 8] = ["run", "swap", "clean", "keeper", "plant", "cont
 
 fn main() -> ExitCode {
     if std::env::args().nth(1).is_some_and(|first| SUBCOMMANDS.contains(&first.as_str())) {
-        return loopbound::cli::main();
+        return loopbound::args::main();
     }
     match soak(&Args::parse()) {
         Ok(0) => ExitCode::SUCCESS,

@@ -15,7 +15,7 @@ use loopbound_shared::sample::Announce;
 use loopbound_shared::spawn;
 
 use crate::exit::Failure;
-use crate::processes::Process;
+use crate::supervise::processes::Process;
 
 /// Lines of a child's own words that a report quotes.
 const QUOTED_LINES_MAX: usize = 20;

@@ -11,7 +11,7 @@ use loopbound_shared::sample::Command;
 use super::Supervisor;
 use super::child::Child;
 use super::ending::LEAVE_NS;
-use crate::processes::Process;
+use crate::supervise::processes::Process;
 
 /// Time between two looks whether a dismissed controller has lost its authority.
 const ASK_AGAIN_NS: u64 = 200_000_000;

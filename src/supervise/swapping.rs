@@ -18,7 +18,7 @@ use super::child::Child;
 use super::control::{Answer, Client, Request, SwapReport, SwapRequest};
 use super::starting::READY_NS;
 use crate::exit::Exit;
-use crate::processes::Process;
+use crate::supervise::processes::Process;
 
 /// Latencies before and after are those of so long, and misses count for less.
 const COMPARED_NS: u64 = 100_000_000;

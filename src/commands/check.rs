@@ -16,7 +16,7 @@ use loopbound_scenario::input;
 use loopbound_shared::headline::Headline;
 use loopbound_shared::say;
 
-use crate::conclusion::conclude;
+use crate::commands::conclusion::conclude;
 use crate::exit::{Exit, Failure};
 use crate::supervise::{Record, write_whole};
 

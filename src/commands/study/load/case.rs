@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use super::cpu::CpuUse;
 use super::options::Quantile;
-use crate::background::Kind;
+use crate::commands::study::load::background::Kind;
 
 /// The cause of a missed tick for which the guest has no explanation: the timer, or the host of a virtual machine.
 pub const HOST: &str = "timer_or_host";

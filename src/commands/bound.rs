@@ -20,7 +20,7 @@ use loopbound_shared::say;
 use serde_json::{Value, json};
 
 use self::sampling::{Sampling, sampling};
-use crate::cli::ScenarioArgs;
+use crate::commands::options::ScenarioArgs;
 use crate::exit::{Exit, Failure};
 
 /// `loopbound bound`.

@@ -1,11 +1,14 @@
 //! `loopbound run`: from a scenario to one screen.
 
-use loopbound_model::quote;
+mod finish;
+mod guests;
+
 use std::io::Write as _;
 use std::path::PathBuf;
 
 use anyhow::Context as _;
 use clap::Args;
+use loopbound_model::quote;
 use loopbound_monitor::Summary;
 use loopbound_monitor::live::{Address, Origin};
 use loopbound_monitor::verdict::expectations;
@@ -16,16 +19,17 @@ use loopbound_shared::realtime::die_with_parent;
 use loopbound_shared::say;
 use serde_json::Value;
 
-use crate::check;
-use crate::cli::{ScenarioArgs, one_line};
-use crate::conclusion;
-use crate::exit::{Exit, Failure};
-use crate::guests::Guest;
-use crate::needs;
+use crate::commands::check;
+use crate::commands::conclusion;
+use crate::commands::options::ScenarioArgs;
+use crate::exit::{Exit, Failure, one_line};
 use crate::progress::Progress;
-use crate::results::{self, Asked};
 use crate::signals::Stop;
+use crate::supervise::needs;
+use crate::supervise::results::Asked;
 use crate::supervise::{self, Options, Outcome, ProcessRecord, Record};
+
+use guests::Guest;
 
 /// Width of the report.
 const SCREEN_COLUMNS: usize = 100;
@@ -144,7 +148,7 @@ fn report(args: &RunArgs, outcome: Outcome) -> anyhow::Result<Exit> {
         conclusion::conclude(summary, &record, stopped);
     }
     match (results, &mut summary) {
-        (Some(results), Some(summary)) => results::finish(results, summary),
+        (Some(results), Some(summary)) => finish::finish(results, summary),
         (Some(results), None) => results.leave_unfinished("the monitor left no summary"),
         (None, _) => {}
     }

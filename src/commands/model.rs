@@ -14,7 +14,7 @@ use loopbound_scenario::{ChainSpec, Scenario};
 use loopbound_shared::say;
 use serde::{Deserialize, Serialize};
 
-use crate::cli::ScenarioArgs;
+use crate::commands::options::ScenarioArgs;
 use crate::exit::Exit;
 
 /// `loopbound model`.

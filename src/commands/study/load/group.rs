@@ -20,8 +20,8 @@ use thiserror::Error;
 
 use super::case::{Case, Rights, Run};
 use super::cpu::{CpuUse, Reading};
-use crate::background::Background;
-use crate::check::read_blocks;
+use crate::commands::check::read_blocks;
+use crate::commands::study::load::background::Background;
 use crate::exit::Exit;
 use crate::signals::Stop;
 use crate::supervise::{ROSTER_FILE, Roster};

@@ -28,7 +28,7 @@ const LEAVE_NS: u64 = 5 * NS_PER_S;
 const LOOK_NS: u64 = 2_000_000;
 
 /// A monitor that was started beside the launcher's own. Ended when it is dropped, at the latest.
-pub struct Guest {
+pub(super) struct Guest {
     group: String,
     pid: Option<Pid>,
     waiting: JoinHandle<()>,
@@ -39,7 +39,7 @@ impl Guest {
     ///
     /// # Errors
     /// If there is no terminal, or no process.
-    pub fn view(group: &str) -> anyhow::Result<Self> {
+    pub(super) fn view(group: &str) -> anyhow::Result<Self> {
         anyhow::ensure!(say::to_terminal(), Failure::usage("--tui needs a terminal"));
         let before = tcgetattr(say::screen()).ok();
         let view = spawn::process(command(group, VIEW_ID)?.arg("--tui")).context("the live view")?;
@@ -57,7 +57,7 @@ impl Guest {
     ///
     /// # Errors
     /// If the address can't be had, or there is no process.
-    pub fn server(group: &str, address: &Address, origins: &[Origin], quiet: bool) -> anyhow::Result<Self> {
+    pub(super) fn server(group: &str, address: &Address, origins: &[Origin], quiet: bool) -> anyhow::Result<Self> {
         // Better no run than one that can't be looked at as was asked.
         address.probe().map_err(|e| Failure::usage(e.to_string()))?;
         let mut server = command(group, SERVER_ID)?;
@@ -85,7 +85,7 @@ impl Guest {
     }
 
     /// Waits until it has left by itself, for a while.
-    pub fn leave(self) {
+    pub(super) fn leave(self) {
         self.left_within(LEAVE_NS);
     }
 

@@ -1,24 +1,20 @@
 //! The command line: what may be written, and which module does it.
 
-use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::{Args, CommandFactory as _, Parser, Subcommand};
+use clap::{CommandFactory as _, Parser, Subcommand};
 use clap_complete::Shell;
-use loopbound_model::law::LawKind;
 use loopbound_model::quote;
-use loopbound_monitor::live::{Address, Origin};
-use loopbound_scenario::system;
-use loopbound_scenario::{Mode, Scenario, Wakeup, parse_duration, parse_rate};
-use loopbound_shared::role::RoleArgs;
 use loopbound_shared::say;
 
-use crate::exit::Exit;
-use crate::{
-    bound, check, clean, compare, doctor, fault, keeper, model, needs, pages, prepare, ps, replay, report, roles, run,
-    signals, study, swap,
+use crate::commands::{
+    bound, check, clean, compare, doctor, fault, model, monitor, options, pages, ps, replay, report, roles, run, study,
+    swap,
 };
+use crate::exit::{Exit, one_line};
+use crate::signals;
+use crate::supervise::{keeper, needs};
 
 /// kHz control loops split across processes over shared memory: latency measured to the nanosecond, and a Lyapunov
 /// bound checked live.
@@ -65,7 +61,7 @@ Examples:
   loopbound monitor --group lb-4711 --tui              live on the terminal
   loopbound monitor --group lb-4711 --foxglove 8765    live in Foxglove, at ws://127.0.0.1:8765
   loopbound monitor --group lb-4711 --foxglove 0.0.0.0:8765   the same, for other machines too")]
-    Monitor(MonitorArgs),
+    Monitor(monitor::MonitorOptions),
     /// Replace the controller in charge of a running group, without a missed tick.
     #[command(after_help = "\
 Examples:
@@ -103,10 +99,10 @@ Examples:
     Report(report::ReportArgs),
     /// List the running groups of this user and their processes.
     #[command(after_help = "Examples:\n  loopbound ps\n  loopbound ps --json")]
-    Ps(JsonArgs),
+    Ps(options::JsonArgs),
     /// Examine this machine: what will delay a loop here, what it costs, and the command that mends it.
     #[command(after_help = "Examples:\n  loopbound doctor\n  loopbound doctor --json")]
-    Doctor(JsonArgs),
+    Doctor(options::JsonArgs),
     /// Remove what killed groups left in shared memory; running groups are not touched.
     #[command(
         after_help = "Example:\n  loopbound clean\nIt looks in /dev/shm/loopbound-UID, or where LOOPBOUND_RUNTIME_DIR says, and removes only what loopbound made there."
@@ -163,168 +159,16 @@ A line that can't be answered gets {\"error\": …} on its own line, and the exi
     },
     /// The plant's role, started by `run`.
     #[command(hide = true)]
-    Plant(ChildArgs),
+    Plant(roles::ChildArgs),
     /// A controller's role, started by `run`.
     #[command(hide = true)]
-    Controller(ChildArgs),
+    Controller(roles::ChildArgs),
     /// The reference's role, started by `run`.
     #[command(hide = true)]
-    Reference(ChildArgs),
+    Reference(roles::ChildArgs),
     /// Ends what is left of a run when its launcher has ended; started by `run`.
     #[command(hide = true)]
     Keeper(keeper::KeeperArgs),
-}
-
-/// For commands whose only choice is the form of their output.
-#[derive(Debug, Args)]
-pub struct JsonArgs {
-    /// Print one JSON document and nothing else.
-    #[arg(long)]
-    pub json: bool,
-}
-
-/// How the launcher starts its children.
-#[derive(Debug, Args)]
-pub struct ChildArgs {
-    /// Name of the group.
-    #[arg(long)]
-    pub group: String,
-    /// Id within the group.
-    #[arg(long)]
-    pub id: u32,
-    /// The scenario with all defaults filled in.
-    #[arg(long)]
-    pub scenario: PathBuf,
-    /// The launcher: the child ends when it does.
-    #[arg(long)]
-    pub parent: Option<u32>,
-    /// The law of a controller; default the scenario's.
-    #[arg(long)]
-    pub law: Option<LawKind>,
-}
-
-impl ChildArgs {
-    /// As the role crates take it.
-    #[must_use]
-    pub fn into_role(self) -> RoleArgs {
-        RoleArgs { group: self.group, id: self.id, scenario: self.scenario, parent: self.parent }
-    }
-}
-
-/// `loopbound monitor`.
-#[derive(Debug, Args)]
-pub struct MonitorArgs {
-    /// Name of the group (see `loopbound ps`).
-    #[arg(long)]
-    pub group: String,
-    /// Folder for summary.json, samples.csv, histograms and events.
-    #[arg(long, value_name = "DIR")]
-    pub out: Option<PathBuf>,
-    /// Print one JSON document instead of the report.
-    #[arg(long)]
-    pub json: bool,
-    /// Draw the group on the terminal instead: chain, V and its bounds, latencies, events.
-    #[arg(long, conflicts_with_all = ["out", "json"])]
-    pub tui: bool,
-    /// Serve the group live over the Foxglove WebSocket protocol at HOST:PORT, HOST or PORT; default host 127.0.0.1,
-    /// default port 8765.
-    #[arg(long, value_name = "ADDR", conflicts_with = "tui")]
-    pub foxglove: Option<Address>,
-    /// Let web pages of this origin look too, such as https://viewer.example:8080. Those of Foxglove and of this machine may
-    /// anyway.
-    #[arg(long = "foxglove-origin", value_name = "ORIGIN", requires = "foxglove")]
-    pub foxglove_origins: Vec<Origin>,
-    /// How long to watch (such as 5s); default until the group ends.
-    #[arg(long, value_parser = parse_duration, value_name = "TIME")]
-    pub duration: Option<u64>,
-    /// Errors alone, no notes.
-    #[arg(long, hide = true)]
-    pub quiet: bool,
-    /// The launcher's own monitor: it grants credit in lockstep and leaves its summary to the launcher.
-    #[arg(long, hide = true)]
-    pub managed: bool,
-    /// Id within the group.
-    #[arg(long, hide = true, default_value_t = 1)]
-    pub id: u32,
-    /// The scenario; default the group's.
-    #[arg(long, hide = true)]
-    pub scenario: Option<PathBuf>,
-    /// The launcher.
-    #[arg(long, hide = true)]
-    pub parent: Option<u32>,
-}
-
-/// A scenario and what the command line changes in it; shared by all commands that take one.
-#[derive(Debug, Default, Args)]
-pub struct ScenarioArgs {
-    /// Scenario file (TOML); default the paper's case.
-    pub scenario: Option<PathBuf>,
-    /// Length of the run, such as 10s.
-    #[arg(long, value_parser = checked::<u64, _>(parse_duration), value_name = "TIME")]
-    pub duration: Option<String>,
-    /// Ticks per second, such as 1kHz.
-    #[arg(long, value_parser = checked::<f64, _>(parse_rate), value_name = "RATE")]
-    pub rate: Option<String>,
-    /// realtime, or lockstep for virtual time.
-    #[arg(long, value_parser = word::<Mode>, value_name = "MODE")]
-    pub mode: Option<Mode>,
-    /// Control law: robust, robust-ff, ctc or pd+g.
-    #[arg(long, value_parser = word::<LawKind>, value_name = "LAW")]
-    pub law: Option<LawKind>,
-    /// How the loop waits: hybrid, block, spin or event.
-    #[arg(long, value_parser = word::<Wakeup>, value_name = "HOW")]
-    pub wakeup: Option<Wakeup>,
-    /// Set any key of the scenario, such as plant.gravity=1.62; may be repeated.
-    #[arg(long, value_name = "KEY=VALUE")]
-    pub set: Vec<String>,
-}
-
-/// Keeps the text, which goes into the scenario as it is, but refuses it here where the option can be named.
-fn checked<T: 'static, E: ToString + 'static>(
-    parse: fn(&str) -> Result<T, E>,
-) -> impl Fn(&str) -> Result<String, String> + Clone + Send + Sync + 'static {
-    move |text| parse(text).map(|_| text.to_owned()).map_err(|e| e.to_string())
-}
-
-pub(crate) fn word<T: std::str::FromStr<Err: ToString>>(text: &str) -> Result<T, String> {
-    text.parse().map_err(|e: T::Err| e.to_string())
-}
-
-impl ScenarioArgs {
-    /// The options as settings of scenario keys, in the order in which they apply: `--set` has the last word.
-    #[must_use]
-    pub fn settings(&self) -> Vec<String> {
-        let mut settings = Vec::new();
-        let mut add = |key: &str, value: Option<String>| settings.extend(value.map(|v| format!("{key}={v}")));
-        add("loop.duration", self.duration.clone());
-        add("loop.rate", self.rate.clone());
-        add("loop.mode", self.mode.map(|m| m.to_string()));
-        add("loop.wakeup", self.wakeup.map(|w| w.to_string()));
-        add("controller.law", self.law.map(|l| l.to_string()));
-        settings.extend(self.set.iter().cloned());
-        settings
-    }
-
-    /// The scenario that is meant.
-    ///
-    /// # Errors
-    /// If the file can't be read, or a key or value is refused.
-    pub fn load(&self) -> anyhow::Result<Scenario> {
-        Ok(Scenario::read(self.scenario.as_deref(), &self.settings())?.0)
-    }
-
-    /// The same, if all that it describes can be built; says what is probably not what was meant.
-    ///
-    /// # Errors
-    /// Those of [`Self::load`], and whatever would keep a process of the scenario from starting.
-    pub fn load_system(&self, quiet: bool) -> anyhow::Result<Scenario> {
-        let (scenario, origin) = Scenario::read(self.scenario.as_deref(), &self.settings())?;
-        prepare::system_of(&scenario).map_err(|error| origin.locate(error))?;
-        for line in if quiet { Vec::new() } else { system::remarks(&scenario)? } {
-            say::err!("loopbound: {}", quote::lines(&line));
-        }
-        Ok(scenario)
-    }
 }
 
 /// Parses the command line, does it, and says how it went.
@@ -379,29 +223,16 @@ fn after_printing(exit: Exit, prints_its_result: bool) -> Exit {
     if prints_its_result { Exit::Internal } else { exit }
 }
 
-/// What was tried, then why it failed, without saying anything twice: some errors quote their cause themselves.
-pub(crate) fn one_line(error: &anyhow::Error) -> String {
-    let mut line = String::new();
-    for part in error.chain().map(ToString::to_string) {
-        if line.is_empty() {
-            line = part;
-        } else if !line.contains(&part) {
-            line = format!("{line}: {part}");
-        }
-    }
-    line
-}
-
 fn dispatch(command: Command) -> anyhow::Result<Exit> {
     match command {
         Command::Run(args) => run::run(&args),
-        Command::Monitor(args) => roles::monitor(args),
+        Command::Monitor(args) => monitor::run(args),
         Command::Swap(args) => swap::run(&args),
         Command::Fault(args) => fault::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Report(args) => report::run(&args),
         Command::Ps(args) => ps::run(args.json),
-        Command::Doctor(args) => doctor(args.json),
+        Command::Doctor(args) => doctor::run(args.json),
         Command::Clean => clean::run(),
         Command::Check(args) => check::check(&args),
         Command::Compare(args) => compare::run(&args),
@@ -418,17 +249,6 @@ fn dispatch(command: Command) -> anyhow::Result<Exit> {
         Command::Reference(args) => roles::role(loopbound_reference::run, args.into_role()),
         Command::Keeper(args) => keeper::run(&args),
     }
-}
-
-fn doctor(json: bool) -> anyhow::Result<Exit> {
-    let report = doctor::examine();
-    let mut out = say::stdout();
-    if json {
-        writeln!(out, "{}", serde_json::to_string(&report)?)?;
-    } else {
-        write!(out, "{}", doctor::render(&report))?;
-    }
-    Ok(Exit::Held)
 }
 
 #[cfg(test)]
@@ -463,12 +283,6 @@ mod tests {
             assert_eq!(error.exit_code(), 2, "{line}");
             assert!(error.to_string().contains(named), "{line}: {error}");
         }
-    }
-
-    #[test]
-    fn an_error_line_says_no_cause_twice() {
-        let quoted = anyhow::anyhow!("no such file").context("x.toml: no such file").context("reading");
-        assert_eq!(one_line(&quoted), "reading: x.toml: no such file");
     }
 
     #[test]

@@ -31,7 +31,7 @@ fn rows_of_the_quick_table_are_the_golden_ones() {
     let laws: Vec<Variant> =
         variants().into_iter().filter(|v| v.law != LawKind::PdG && v.name != "ctc 100/20").collect();
     let table = paper::table::<3>(&base, &laws, &[Case::Mass(0.2), Case::Noise], 0).unwrap();
-    let golden = include_str!("../../tests/golden/study_paper.csv");
+    let golden = include_str!("../../../tests/golden/study_paper.csv");
     let found = table.to_csv();
     assert_eq!(found.lines().next(), golden.lines().next());
     assert_eq!(golden.lines().count(), 1 + Case::ALL.len() * variants().len());

@@ -9,10 +9,10 @@ use loopbound_shared::clock::{NS_PER_S, seconds};
 use serde::{Deserialize, Serialize};
 
 use super::case::{Case, Rights};
-use crate::background::Kind;
-use crate::cli::word;
+use crate::commands::options::word;
+use crate::commands::study::load::background::Kind;
 use crate::exit::Failure;
-use crate::prepare;
+use crate::supervise::prepare;
 
 /// The shortest run that still has latencies to show once its start-up is left out, ns.
 const RUN_NS_MIN: u64 = 400_000_000;

@@ -36,7 +36,7 @@ pub struct ReplayArgs {
     /// Folder of a run, as `run --out` wrote it, or a samples.mcap.
     pub run: PathBuf,
     /// What if: another law for the scenario's own controllers.
-    #[arg(long, value_parser = crate::cli::word::<LawKind>, value_name = "LAW")]
+    #[arg(long, value_parser = crate::commands::options::word::<LawKind>, value_name = "LAW")]
     pub law: Option<LawKind>,
     /// What if: another value of a key of the scenario, such as plant.mass_error=0.1; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]

@@ -18,7 +18,7 @@ use loopbound_shared::say;
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::check::{read, read_blocks};
+use crate::commands::check::{read, read_blocks};
 use crate::exit::{Exit, Failure};
 
 /// `loopbound compare`.

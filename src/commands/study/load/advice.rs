@@ -11,7 +11,7 @@ use serde::Serialize;
 use super::case::{Rights, Row};
 use super::options::Quantile;
 use super::text::{percent, time};
-use crate::background::Kind;
+use crate::commands::study::load::background::Kind;
 
 /// Two proven errors this close, relative, are the same: searched on the same grid for the same delay.
 const SAME_E: f64 = 1e-9;

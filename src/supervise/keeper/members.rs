@@ -12,7 +12,7 @@ use loopbound_shared::realtime::{ProcessHandle, Signal};
 use rustix::process::geteuid;
 
 use super::KeeperArgs;
-use crate::processes::RUN_VARIABLE;
+use crate::supervise::processes::RUN_VARIABLE;
 
 /// A run, as its processes show it.
 pub(super) struct Run {

@@ -11,7 +11,7 @@ use super::advice::*;
 use super::case::*;
 use super::cpu::CpuUse;
 use super::*;
-use crate::background::Kind;
+use crate::commands::study::load::background::Kind;
 
 #[derive(Debug, Parser)]
 struct Line {

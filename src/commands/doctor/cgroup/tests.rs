@@ -1,6 +1,6 @@
 use super::*;
-use crate::doctor::Stalls;
-use crate::doctor::wakeup::Lateness;
+use crate::commands::doctor::Stalls;
+use crate::commands::doctor::wakeup::Lateness;
 
 /// Mounts as a host with both versions shows them.
 const MOUNTS: &str = "\

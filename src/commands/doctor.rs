@@ -13,10 +13,14 @@ mod privileges;
 mod tree;
 mod wakeup;
 
+use std::io::Write as _;
 use std::path::Path;
 
 use loopbound_shared::clock;
+use loopbound_shared::say;
 use serde::Serialize;
+
+use crate::exit::Exit;
 
 pub use live::{Live, Stalls};
 use tree::Tree;
@@ -176,6 +180,21 @@ fn wrapped(head: &str, text: &str) -> String {
     }
     lines.push('\n');
     lines
+}
+
+/// Examines the machine, and says what was found.
+///
+/// # Errors
+/// If it can't be written.
+pub fn run(json: bool) -> anyhow::Result<Exit> {
+    let report = examine();
+    let mut out = say::stdout();
+    if json {
+        writeln!(out, "{}", serde_json::to_string(&report)?)?;
+    } else {
+        write!(out, "{}", render(&report))?;
+    }
+    Ok(Exit::Held)
 }
 
 #[cfg(test)]

@@ -41,7 +41,7 @@ pub fn manual(folder: Option<&Path>, command: clap::Command) -> anyhow::Result<E
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli::Cli;
+    use crate::args::Cli;
     use clap::CommandFactory as _;
 
     #[test]

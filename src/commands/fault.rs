@@ -7,7 +7,7 @@ use loopbound_scenario::parse_duration;
 use loopbound_shared::event::LiveFault;
 use loopbound_shared::say;
 
-use crate::cli::word;
+use crate::commands::options::word;
 use crate::exit::{Exit, Failure};
 use crate::supervise::{Answer, FaultReport, FaultRequest, Request, connect};
 

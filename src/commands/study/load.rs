@@ -11,6 +11,7 @@
 //! | [`text`], [`pictures`], [`page`] | the table, heat maps, one page |
 
 pub mod advice;
+pub mod background;
 pub mod case;
 pub mod check;
 pub mod cpu;
@@ -46,9 +47,9 @@ use self::options::{Plan, Quantile};
 use self::text::percent;
 use super::folder::{Asked, Folder, picture_files};
 use crate::exit::Exit;
-use crate::needs;
 use crate::progress::Progress;
 use crate::signals::Stop;
+use crate::supervise::needs;
 
 /// Version of `table.json`.
 const REPORT_VERSION: u32 = 2;
