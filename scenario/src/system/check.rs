@@ -15,6 +15,8 @@ use loopbound_model::with_links;
 /// # Errors
 /// The first part that can't be built, or whose numbers are not finite, by the key that decides it.
 pub fn check(scenario: &Scenario) -> Result<(), ScenarioError> {
+    // The processes read the scenario with all defaults filled in.
+    scenario.resolved().validate().map_err(followed)?;
     with_links!(scenario.links(), check_for::<N>(scenario))
 }
 
@@ -24,6 +26,16 @@ pub fn check(scenario: &Scenario) -> Result<(), ScenarioError> {
 /// If the scenario describes no system.
 pub fn remarks(scenario: &Scenario) -> Result<Vec<String>, ScenarioError> {
     with_links!(scenario.links(), remarks_on_waypoints::<N>(scenario))
+}
+
+/// An error of a value that nobody wrote.
+fn followed(error: ScenarioError) -> ScenarioError {
+    match error {
+        ScenarioError::Value { place, key, found, allowed } => {
+            ScenarioError::Value { place, key, found: format!("{found}, which follows from other keys"), allowed }
+        }
+        other => other,
+    }
 }
 
 fn not_finite(key: &str, what: &str) -> ScenarioError {

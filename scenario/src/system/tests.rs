@@ -124,3 +124,13 @@ fn the_torque_that_robust_may_ask_for_is_reached() {
     let [Gap::TorqueLimit { asked_nm, .. }] = gaps_of(&["plant.torque_limit_nm=1"])[..] else { panic!("no limit") };
     assert!((asked_nm / reached - 1.0).abs() < 1e-9, "{asked_nm} {reached}");
 }
+
+#[test]
+fn a_value_that_follows_from_others_and_is_not_allowed_is_refused_before_anything_starts() {
+    let scenario = Scenario::default().with_set("plant.mass=1e-12").unwrap();
+    let error = check(&scenario).unwrap_err().to_string();
+    assert!(
+        error.starts_with("`plant.inertia[0]`: found 8.33") && error.contains("which follows from other keys"),
+        "{error}"
+    );
+}
