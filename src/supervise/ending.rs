@@ -7,6 +7,7 @@ use loopbound_scenario::Role;
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::Bell;
 use loopbound_shared::event::CommandKind;
+use loopbound_shared::realtime::work_of;
 use loopbound_shared::sample::Command;
 
 use super::child::Child;
@@ -15,8 +16,10 @@ use super::{End, Outcome, Supervisor};
 
 /// Time for the plant to close its last tick and end.
 const PLANT_NS: u64 = 1_000_000_000;
-/// Time for the monitor to take the last records and write its files.
-const SUMMARY_NS: u64 = 5_000_000_000;
+/// A monitor that does nothing for so long will write no summary any more.
+const IDLE_NS: u64 = 5_000_000_000;
+/// Time for the monitor to take the last records and write its files, as long as it is at work. Longer than any disk takes.
+const SUMMARY_NS: u64 = 600_000_000_000;
 /// Time for everyone to end by themselves, and again after SIGTERM.
 pub(super) const LEAVE_NS: u64 = 1_000_000_000;
 
@@ -37,7 +40,7 @@ impl Supervisor<'_> {
             let patience_ns = if !asked || self.ask_to_stop() { PLANT_NS + 2 * self.scenario.period_ns() } else { 0 };
             self.end_plant(patience_ns);
             self.say_that_the_plant_ended();
-            self.wait_for(Role::Monitor, SUMMARY_NS);
+            self.wait_for_the_summary();
         }
         let summary = std::fs::read(self.group.file("summary.json")).ok();
         self.end_everyone();
@@ -49,6 +52,25 @@ impl Supervisor<'_> {
             results: None,
             stopped,
         })
+    }
+
+    /// A long recording on a busy machine takes the monitor a while: it is waited for while it works.
+    fn wait_for_the_summary(&mut self) {
+        let until_ns = clock::now_ns() + SUMMARY_NS;
+        let mut before = self.work_of_monitors();
+        while !self.wait_for(Role::Monitor, IDLE_NS) && clock::now_ns() < until_ns {
+            let work = self.work_of_monitors();
+            if work == before {
+                return;
+            }
+            self.note("the monitor is still writing the files of the run");
+            before = work;
+        }
+    }
+
+    fn work_of_monitors(&self) -> Vec<Option<u64>> {
+        let monitors = self.children.iter().filter(|child| child.process.role == Role::Monitor);
+        monitors.filter(|child| child.lives()).map(|child| work_of(child.pid)).collect()
     }
 
     /// Whether the plant has agreed to stop.

@@ -61,6 +61,17 @@ fn parent_of(pid: u32) -> Option<u32> {
     words.nth(1)?.parse().ok().filter(|parent| *parent != 0)
 }
 
+/// CPU time that a process has used so far, in the kernel's units of accounting; counted up by one while it waits inside the
+/// kernel, as for a disk. So a process whose number stays the same does nothing. None if there is no such process.
+#[must_use]
+pub fn work_of(pid: u32) -> Option<u64> {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+    let words: Vec<&str> = stat.rsplit_once(')')?.1.split_ascii_whitespace().collect();
+    let time = |place: usize| words.get(place)?.parse::<u64>().ok();
+    let used = time(11)? + time(12)?;
+    Some(if words.first() == Some(&"D") { used + 1 } else { used })
+}
+
 /// Lets this process run on all its cores but `cores`, if there are others.
 pub fn keep_off_cores(cores: &[usize]) {
     let Ok(mut allowed) = sched_getaffinity(None) else { return };
@@ -179,6 +190,17 @@ mod tests {
 
     fn sleeper() -> Child {
         Command::new("sleep").arg("600").stdout(Stdio::null()).spawn().unwrap()
+    }
+
+    #[test]
+    fn a_process_that_computes_is_at_work_and_one_that_is_gone_is_not() {
+        let me = std::process::id();
+        let before = work_of(me).unwrap();
+        let until_ns = crate::clock::now_ns() + 20_000_000_000;
+        while work_of(me).unwrap() <= before + 1 {
+            assert!(crate::clock::now_ns() < until_ns, "this process computes and its time stands still");
+        }
+        assert_eq!(work_of(u32::MAX), None);
     }
 
     #[test]
