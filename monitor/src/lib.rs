@@ -9,6 +9,7 @@
 //! | [`swaps`] | changes of the controller in charge |
 //! | [`event`] | what is noted besides figures |
 //! | [`summary`], [`verdict`], [`mod@render`] | the keys of `summary.json`, what they come to, one screen of text |
+//! | [`counted`] | counts with their words |
 //! | [`chart`] | pictures, as SVG and PNG |
 //! | [`folder`] | whose a folder of results is, and whether it is all there |
 //! | [`files`], `traces`, [`plot`] | the files of a run, written by a thread of their own; percentile plots |
@@ -23,6 +24,7 @@
 
 pub mod cause;
 pub mod chart;
+pub mod counted;
 pub mod divergence;
 pub mod event;
 pub mod files;
