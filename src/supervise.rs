@@ -5,6 +5,7 @@
 //! on the thread that calls [`supervise`] and are gone when it returns, however it returns.
 
 mod child;
+mod clients;
 mod control;
 mod ending;
 mod faults;
@@ -43,8 +44,8 @@ use crate::exit::{Exit, Failure};
 use crate::progress::Progress;
 use crate::signals::Stop;
 use child::Child;
-use control::Control;
 pub use control::{Answer, FILE as CONTROL_FILE, FaultReport, FaultRequest, Request, SwapReport, SwapRequest, connect};
+use control::{Client, Control};
 use faults::Hanging;
 use keeper::Keeper;
 use processes::Process;
@@ -133,13 +134,12 @@ struct Supervisor<'a> {
     due: VecDeque<Due>,
     retirements: Vec<Retirement>,
     control: Control,
-    swap: Option<Swapping>,
+    /// The swap under way, and who waits for its answer.
+    swap: Option<(Client, Swapping)>,
     /// The controller that was stopped on purpose, until it goes on.
     hanging: Option<Hanging>,
     /// Until when an injected fault lasts: one at a time.
     fault_until_ns: u64,
-    /// For the account of a swap; looked at while one is under way.
-    records: Subscriber<TickRecord>,
     /// Whether it was said that the run is not recorded any more.
     loss_told: bool,
     /// The number of the next controller that is started.
@@ -213,7 +213,6 @@ impl<'a> Supervisor<'a> {
             swap: None,
             hanging: None,
             fault_until_ns: 0,
-            records: node.subscriber(TickRecord::DEPTH)?.uncounted(),
             loss_told: false,
             next_id: controllers::of(scenario).iter().map(|part| part.id).max().unwrap_or(0) + 1,
             deaths: Vec::new(),

@@ -7,6 +7,7 @@
 //! | [`judge`] | V, the promise and the diagnosis of each tick |
 //! | [`late`], [`cause`] | which ticks were late or missed, and why |
 //! | [`swaps`] | changes of the controller in charge |
+//! | [`account`] | what `loopbound swap` is answered of such a change |
 //! | [`event`] | what is noted besides figures |
 //! | [`summary`], [`verdict`], [`mod@render`] | the keys of `summary.json`, what they come to, one screen of text |
 //! | [`counted`] | counts with their words |
@@ -22,6 +23,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod account;
 pub mod cause;
 pub mod chart;
 pub mod counted;

@@ -25,6 +25,7 @@ use loopbound_shared::sample::{Announce, TickRecord, record_flag};
 use loopbound_shared::say;
 use loopbound_shared::topics::Topic;
 
+use crate::account::Accountant;
 use crate::files::{LOST_FILE, Place, Recorder, summary_text};
 use crate::folder::{Begin, Claim, FolderError, Kind, self_contained, waypoints_of};
 use crate::judge::Judge;
@@ -187,6 +188,8 @@ struct Watch<'a, const N: usize> {
     announces: Announces,
     announcer: Publisher<Announce>,
     tracker: Tracker<N>,
+    /// The launcher's own monitor alone.
+    accountant: Option<Accountant>,
     members: Members,
     recorder: Option<Recorder>,
     loss_told: bool,
@@ -235,6 +238,8 @@ impl<'a, const N: usize> Watch<'a, N> {
             announces,
             announcer: joined.node.publisher()?,
             tracker: Tracker::new(config, Some(judge)),
+            accountant: (args.managed && !lockstep)
+                .then(|| Accountant::new(scenario.period_ns(), scenario.swap_gate.rollback_for.ns())),
             members: Members::default(),
             recorder,
             loss_told: false,
@@ -288,7 +293,7 @@ impl<'a, const N: usize> Watch<'a, N> {
     fn drain(&mut self) -> usize {
         let (mut count, batch_ns) = (0, now_ns());
         while count < BATCH_MAX {
-            let Self { records, announces, members, tracker, recorder, live, last_seen, faults, .. } = self;
+            let Self { records, announces, members, tracker, accountant, recorder, live, last_seen, faults, .. } = self;
             let taken = records.take_with(|record| {
                 suffer(faults, record, tracker.last_tick());
                 *last_seen |= record.flags & record_flag::LAST != 0;
@@ -297,6 +302,9 @@ impl<'a, const N: usize> Watch<'a, N> {
                     learn(announces, members, tracker, recorder);
                 }
                 let Some(row) = tracker.feed(record) else { return };
+                if let Some(accountant) = accountant {
+                    accountant.feed(record, row.round_trip_ns, tracker.swaps().list());
+                }
                 if let Some(live) = live {
                     live.tick(record, &row, batch_ns);
                 }
@@ -351,7 +359,17 @@ impl<'a, const N: usize> Watch<'a, N> {
             self.close_interval(now_ns);
         }
         self.tell_loss();
+        self.tell_changes();
         self.judge_so_far();
+    }
+
+    /// While a change of the active controller may still be asked about.
+    fn tell_changes(&mut self) {
+        let (tick, list) = (self.tracker.last_tick(), self.tracker.swaps().list());
+        if let Some(account) = self.accountant.as_mut().and_then(|accountant| accountant.due(tick, list)) {
+            // Without it the answer of a swap has no figures, and the run goes on.
+            let _ = account.write(&self.joined.group);
+        }
     }
 
     /// Once, as soon as it is known: to the supervisor, who says it, or to whoever started this monitor.
