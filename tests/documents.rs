@@ -384,7 +384,7 @@ fn one_thing_has_one_word_in_the_documents() {
 
 /// The labels of the screen of a run, as the code writes them.
 fn labels_of_the_screen() -> Vec<String> {
-    let code = ["render.rs", "render/bound.rs"].map(|file| read(&root().join("monitor/src").join(file))).concat();
+    let code = read(&root().join("monitor/src/render.rs"));
     let literals = |before: &'static str| {
         let after = code.match_indices(before).map(|(at, found)| &code[at + found.len()..]).collect::<Vec<_>>();
         after.into_iter().filter_map(|rest| rest.split_once('"').map(|(label, _)| label.to_owned())).collect::<Vec<_>>()
@@ -419,4 +419,20 @@ fn the_twelve_lines_of_the_first_page_are_of_the_whole_screen_and_have_a_note_ea
         assert!(!note.trim().is_empty(), "an empty note: {line}");
     }
     assert_eq!(screen.lines().count(), 12);
+}
+
+#[test]
+fn the_page_of_swaps_draws_the_states_of_authority_as_the_code_does() {
+    let code = read(&root().join("plant/src/authority.rs"));
+    let prose: String = code
+        .lines()
+        .filter_map(|line| line.strip_prefix("//!"))
+        .flat_map(|line| [line.strip_prefix(' ').unwrap_or(line), "\n"])
+        .collect();
+    let drawings: Vec<&str> = prose.split("```").skip(1).step_by(2).collect();
+    assert_eq!(drawings.len(), 3, "members, a swap, the fallback");
+    let page = read(&root().join("docs/swap.md"));
+    for drawing in drawings {
+        assert!(page.contains(&format!("```{drawing}```")), "docs/swap.md lacks this drawing:\n{drawing}");
+    }
 }

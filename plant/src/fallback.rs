@@ -1,5 +1,6 @@
-//! What acts when no controller answers: the last torque for as long as the certificate allows, then the plant's own
-//! damping with gravity compensation, then, once all is slow, the same as a safe stop.
+//! What acts when no controller answers: *hold*, the last torque for as long as the certificate allows; then *damp*, the
+//! plant's own damping with gravity compensation; and once all links are slow, the same as a safe *stop*. The steps are
+//! drawn in [`crate::authority`].
 
 use loopbound_model::bound::certificate::Certificate;
 use loopbound_model::bound::stability::hold_limit_s;
@@ -14,22 +15,22 @@ use loopbound_shared::sample::{Links, TickRecord};
 #[cfg(test)]
 mod tests;
 
-/// Below this speed of every link (rad/s) braking counts as a stop.
+/// Below this speed of every link (rad/s) damping counts as a stop.
 const STOPPED_RAD_S: f64 = 1e-3;
 /// The damping is this share of what sampling allows (K h < 2 λ_min, see \[11]) …
 const DAMPING_SHARE: f64 = 0.125;
 /// … and at most this, N·m·s.
 const DAMPING_MAX: f64 = 20.0;
 
-/// The plant's own brake: damping with gravity compensation, by the nominal model.
+/// The plant's own law: damping with gravity compensation, by the nominal model.
 #[derive(Clone, Debug)]
-pub struct Brake<const N: usize> {
+pub struct Damping<const N: usize> {
     model: Chain<N>,
     damping: f64,
 }
 
-impl<const N: usize> Brake<N> {
-    /// The brake of a scenario.
+impl<const N: usize> Damping<N> {
+    /// The damping of a scenario.
     ///
     /// # Errors
     /// If the scenario describes no system.
@@ -46,10 +47,10 @@ impl<const N: usize> Brake<N> {
     }
 }
 
-/// The fallback ladder.
+/// The fallback: which step it is at, and since when.
 pub(crate) struct Fallback<const N: usize> {
     certificate: Certificate,
-    brake: Brake<N>,
+    damping: Damping<N>,
     period_ns: u64,
     /// The plant has stopped for good, whoever answers.
     stopped: bool,
@@ -57,7 +58,8 @@ pub(crate) struct Fallback<const N: usize> {
     ticks: u64,
     /// The last torque may be held until then; set by the first unanswered tick.
     hold_until_plant_ns: u64,
-    rung: Decision,
+    /// Held, damped or stopped.
+    step: Decision,
     changed: bool,
 }
 
@@ -67,20 +69,22 @@ impl<const N: usize> Fallback<N> {
         let period_ns = scenario.period_ns();
         Ok(Self {
             certificate,
-            brake: Brake::new(scenario)?,
+            damping: Damping::new(scenario)?,
             period_ns,
             stopped: false,
             ticks: 0,
             hold_until_plant_ns: 0,
-            rung: Decision::Held,
+            step: Decision::Held,
             changed: false,
         })
     }
 
-    /// A controller's torque was accepted: the ladder is left. How many ticks it took, if the plant had to brake.
+    /// A controller's torque was accepted: the fallback ends. The ticks it took, if it went beyond holding.
     pub(crate) fn answered(&mut self) -> Option<u64> {
-        let ticks = (self.rung != Decision::Held).then_some(self.ticks);
-        (self.ticks, self.rung, self.changed) = (0, Decision::Held, false);
+        let ticks = (self.step != Decision::Held).then_some(self.ticks);
+        self.ticks = 0;
+        self.step = Decision::Held;
+        self.changed = false;
         ticks
     }
 
@@ -97,34 +101,36 @@ impl<const N: usize> Fallback<N> {
         self.ticks += 1;
     }
 
-    /// Stops for good: the last rung, whoever answers from now on.
+    /// Stops for good, whoever answers from now on.
     pub(crate) fn stop(&mut self) {
         self.stopped = true;
-        self.changed |= self.rung != Decision::Stopped;
-        self.rung = Decision::Stopped;
+        self.go_to(Decision::Stopped);
     }
 
-    /// The rung that a tick without an answer counts under.
+    fn go_to(&mut self, step: Decision) {
+        self.changed |= self.step != step;
+        self.step = step;
+    }
+
+    /// The step that a tick without an answer counts under.
     pub(crate) fn decision(&self) -> Decision {
-        self.rung
+        self.step
     }
 
     /// The plant's own torque from `plant_ns` on, if the time to hold ends within the coming tick.
-    pub(crate) fn brake(&mut self, plant_ns: u64, q: &Vector<N>, v: &Vector<N>) -> Option<Vector<N>> {
+    pub(crate) fn own_torque(&mut self, plant_ns: u64, q: &Vector<N>, v: &Vector<N>) -> Option<Vector<N>> {
         if self.stopped {
-            return Some(self.brake.torque(q, v));
+            return Some(self.damping.torque(q, v));
         }
         if self.ticks == 0 || plant_ns + self.period_ns <= self.hold_until_plant_ns {
             return None;
         }
-        let rung = if v.amax() < STOPPED_RAD_S { Decision::Stopped } else { Decision::Damped };
-        self.changed |= rung != self.rung;
-        self.rung = rung;
-        Some(self.brake.torque(q, v))
+        self.go_to(if v.amax() < STOPPED_RAD_S { Decision::Stopped } else { Decision::Damped });
+        Some(self.damping.torque(q, v))
     }
 
-    /// The rung and the ticks gone unanswered, once after each change.
+    /// The step and the ticks gone unanswered, once after each change.
     pub(crate) fn take_change(&mut self) -> Option<(Decision, u64)> {
-        std::mem::take(&mut self.changed).then_some((self.rung, self.ticks))
+        std::mem::take(&mut self.changed).then_some((self.step, self.ticks))
     }
 }

@@ -1,5 +1,5 @@
-//! What the plant knows of the controllers' laws: enough to evaluate V, for the swap gate, the promise after a swap
-//! and the time that a torque may be held.
+//! What the plant knows of the controllers' laws: enough to evaluate V, for the swap gate, the certified bound on V after a
+//! swap, and the time for which a torque may be held.
 
 use loopbound_model::bound::certificate::Certificate;
 use loopbound_model::chain::Chain;
@@ -13,7 +13,7 @@ use loopbound_shared::clock::seconds;
 use loopbound_shared::event::{Phase, Role};
 use loopbound_shared::sample::{Announce, RECEIPTS_MAX, TickRecord, to_vector};
 
-use crate::swap::Judge;
+use crate::authority::CertifiedLevels;
 
 /// V is compared with this much room: the error of the integration of V̇ is far below it.
 const TOLERANCE: f64 = 1e-6;
@@ -91,25 +91,25 @@ impl<const N: usize> Laws<N> {
         Some(certificate.v(&self.true_chain, &input))
     }
 
-    /// Promise (a) over an interval.
-    pub(crate) fn promise_holds(certificate: &Certificate, before: f64, after: f64, h_ns: u64) -> bool {
+    /// Whether V is within its certified bound at the end of an interval.
+    pub(crate) fn bound_holds(certificate: &Certificate, before: f64, after: f64, h_ns: u64) -> bool {
         after <= certificate.promised(before, seconds(h_ns)) + TOLERANCE * (1.0 + before)
     }
 
     /// This knowledge at one state, as the swap gate asks for it.
-    pub(crate) fn at(&self, state: &PlantState<N>, setpoint: &SetpointValue<N>) -> At<'_, N> {
-        At { laws: self, state: *state, setpoint: *setpoint }
+    pub(crate) fn at(&self, state: &PlantState<N>, setpoint: &SetpointValue<N>) -> LawsAt<'_, N> {
+        LawsAt { laws: self, state: *state, setpoint: *setpoint }
     }
 }
 
 /// The laws at one state.
-pub(crate) struct At<'a, const N: usize> {
+pub(crate) struct LawsAt<'a, const N: usize> {
     laws: &'a Laws<N>,
     state: PlantState<N>,
     setpoint: SetpointValue<N>,
 }
 
-impl<const N: usize> Judge for At<'_, N> {
+impl<const N: usize> CertifiedLevels for LawsAt<'_, N> {
     fn level(&self, id: u32) -> Option<(f64, f64)> {
         self.laws.v_of(id, &self.state, &self.setpoint).map(|(certificate, v)| (v, certificate.level))
     }

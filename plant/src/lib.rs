@@ -1,16 +1,18 @@
 //! The plant of a group: integrates the chain, publishes its state every tick, and decides which torque acts.
 //!
-//! [`core`] is the plant without a clock, [`authority`] with [`swap`] decides who is obeyed, `fallback` what acts when
-//! nobody answers. The two loops differ in their clock only: `realtime` runs on the machine's, `lockstep` on virtual time.
+//! [`tick`] is the plant without a clock, [`authority`] decides which controller's torque acts, `fallback` what acts when
+//! none answers. The two loops differ in their clock only: `realtime` runs on the machine's, `lockstep` on virtual time.
+//! Whatever judges a run stays out of here: the plant writes records, and reads none.
 
+mod answers;
 pub mod authority;
-pub mod core;
 mod fallback;
 mod laws;
 pub mod lockstep;
 mod ports;
 mod realtime;
-pub mod swap;
+mod replies;
+pub mod tick;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -22,9 +24,9 @@ use loopbound_shared::realtime as privileges;
 use loopbound_shared::role::{self, RoleArgs, RoleError};
 use loopbound_shared::sample::Announce;
 
-pub use crate::core::{Opening, PlantCore};
-pub use crate::fallback::Brake;
+pub use crate::fallback::Damping;
 use crate::ports::Ports;
+pub use crate::tick::{Opening, PlantCore};
 
 /// Runs the plant until its last tick, or until `stop` is set.
 ///
@@ -39,8 +41,7 @@ fn with<const N: usize>(args: &RoleArgs, stop: &'static AtomicBool) -> Result<()
     let joined = role::join(args)?;
     let request = role::realtime_request(&joined.scenario, Role::Plant);
     let mode = joined.scenario.loop_.mode;
-    let core = PlantCore::<N>::new(&joined.scenario, mode == Mode::Realtime);
-    let mut core = core?;
+    let mut core = PlantCore::<N>::new(&joined.scenario, mode == Mode::Realtime)?;
     let ports = Ports::open(joined, args.id)?;
     let mut entered = privileges::enter(&request);
     entered.populate_shared(&[ports.joined.group.prefix().as_str()]);

@@ -3,8 +3,9 @@
 use std::sync::atomic::Ordering;
 
 use loopbound_scenario::{Mode, Role};
+use loopbound_shared::clock;
 use loopbound_shared::doorbell::Bell;
-use loopbound_shared::event::{CommandKind, LiveFault, Refusal, ReplyKind};
+use loopbound_shared::event::{CommandKind, LiveFault, Refusal};
 use loopbound_shared::fault::FaultPlan;
 use loopbound_shared::ports::{Announces, CommandServer, Publisher, Subscriber};
 use loopbound_shared::role::{Joined, RoleError};
@@ -13,8 +14,11 @@ use loopbound_shared::sample::{
 };
 use loopbound_shared::wakeup::{Ringer, Waiter};
 
-use crate::authority::Authority;
-use crate::core::PlantCore;
+use crate::replies;
+use crate::tick::PlantCore;
+
+/// How often to look for the order to start.
+const START_LOOK_NS: u64 = 200_000;
 
 /// Everything that the plant sends and receives by.
 pub(crate) struct Ports {
@@ -40,12 +44,19 @@ pub(crate) struct Orders {
     /// The tick at which to end, not published any more.
     pub(crate) stop_at: Option<u64>,
     /// The fault that was injected last into a controller.
-    pub(crate) struck: Option<Struck>,
+    pub(crate) injected: Option<InjectedFault>,
 }
 
-/// The ticks in which an injected fault shows: those that follow from it are put down to it.
+impl Orders {
+    /// Whether the run ends before `tick`, which is not published any more.
+    pub(crate) fn is_over(&self, tick: u64) -> bool {
+        self.stop_at.is_some_and(|stop| tick >= stop)
+    }
+}
+
+/// The ticks in which an injected fault shows: what follows from it is attributed to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Struck {
+pub(crate) struct InjectedFault {
     kind: LiveFault,
     target: u32,
     first: u64,
@@ -53,7 +64,7 @@ pub(crate) struct Struck {
     noted: bool,
 }
 
-impl Struck {
+impl InjectedFault {
     fn of(command: &Command, tick: u64, period_ns: u64) -> Option<Self> {
         let kind = u32::try_from(command.option).ok().and_then(LiveFault::from_code)?;
         // The present tick has been decided.
@@ -120,7 +131,33 @@ impl Ports {
 
     /// Notes how many torques were none of this run's, for the record.
     pub(crate) fn count_strangers<const N: usize>(&self, core: &mut PlantCore<N>) {
-        core.authority.counters.unknown_writer += self.torques.take_strangers();
+        core.authority.journal.counters.unknown_writer += self.torques.take_strangers();
+    }
+
+    /// Waits for the supervisor's order to start; none if the group was stopped before.
+    pub(crate) fn await_start<const N: usize>(
+        &self,
+        core: &mut PlantCore<N>,
+        stopped: &dyn Fn() -> bool,
+    ) -> Option<Orders> {
+        let mut orders = Orders::default();
+        while !orders.start {
+            if stopped() {
+                return None;
+            }
+            self.update_connections();
+            self.drain_setpoints(core);
+            self.serve(core, &mut orders);
+            clock::sleep_until_ns(clock::now_ns() + START_LOOK_NS);
+        }
+        Some(orders)
+    }
+
+    /// Publishes the record of the tick that was closed last.
+    pub(crate) fn publish_closed<const N: usize>(&self, core: &PlantCore<N>) {
+        if let Some(record) = core.closed() {
+            self.records.send(*record);
+        }
     }
 
     /// Reads announcements and answers the supervisor.
@@ -130,31 +167,32 @@ impl Ports {
             core.learn(&announce);
         }
         self.commands.answer_all(|command| {
-            let done = Reply { kind: ReplyKind::Done.code(), tick: core.authority.tick(), ..Reply::zeroed() };
+            let tick = core.authority.tick();
             match CommandKind::from_code(command.kind) {
                 Some(CommandKind::Start) => {
                     if let Err(refusal) = core.authority.appoint(command.controller) {
-                        return Authority::refused(refusal);
+                        return replies::refused(refusal);
                     }
-                    (orders.start, orders.stop_at) = (true, Some(command.tick));
-                    done
+                    orders.start = true;
+                    orders.stop_at = Some(command.tick);
+                    replies::done(tick)
                 }
-                Some(CommandKind::StopAt) if command.tick <= core.authority.tick() && core.has_opened() => {
-                    orders.stop_at = Some(core.authority.tick() + 1);
-                    Reply { reason: Refusal::TickPassed.code(), ..done }
+                Some(CommandKind::StopAt) if command.tick <= tick && core.has_opened() => {
+                    orders.stop_at = Some(tick + 1);
+                    Reply { reason: Refusal::TickPassed.code(), ..replies::done(tick) }
                 }
                 Some(CommandKind::StopAt) => {
                     orders.stop_at = Some(command.tick);
-                    done
+                    replies::done(tick)
                 }
                 // In lockstep no tick is marked: there faults are the scenario's.
                 Some(CommandKind::Fault) if self.joined.scenario.loop_.mode == Mode::Realtime => {
                     let period_ns = self.joined.scenario.period_ns();
-                    let Some(struck) = Struck::of(command, core.authority.tick(), period_ns) else {
-                        return Authority::refused(Refusal::BadCommand);
+                    let Some(injected) = InjectedFault::of(command, tick, period_ns) else {
+                        return replies::refused(Refusal::BadCommand);
                     };
-                    orders.struck = Some(struck);
-                    Reply { tick: struck.first, ..done }
+                    orders.injected = Some(injected);
+                    replies::done(injected.first)
                 }
                 _ => core.command(command),
             }

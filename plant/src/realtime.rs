@@ -1,4 +1,4 @@
-//! The plant's loop on the machine's clock.
+//! The plant's loop on the machine's clock: wait, read, compute, publish, record.
 //!
 //! ```text
 //! wake early (lead) → map what joined → spin to t_k → integrate to *now* → publish State(k) → ring
@@ -16,8 +16,8 @@ use loopbound_shared::realtime::EvidenceReader;
 use loopbound_shared::role;
 use loopbound_shared::sample::{State, TickRecord, state_flag};
 
-use crate::core::{Opening, PlantCore};
 use crate::ports::{Orders, Ports};
+use crate::tick::{Opening, PlantCore};
 
 /// t_0 lies on a multiple of this (plus the phase): of every usual period of the kernel's tick (1, 4, 10 ms), so that
 /// the phase between the loop and the kernel's tick is what the scenario says.
@@ -60,39 +60,167 @@ impl Times {
 
 pub(crate) fn run<const N: usize>(core: &mut PlantCore<N>, ports: &Ports, stopped: &dyn Fn() -> bool) {
     let mut evidence = EvidenceReader::open();
-    let mut orders = Orders::default();
-    let mut suffering = Suffering::default();
-    while !orders.start {
-        if stopped() {
-            return;
-        }
-        ports.update_connections();
-        ports.drain_setpoints(core);
-        ports.serve(core, &mut orders);
-        clock::sleep_until_ns(clock::now_ns() + 200_000);
-    }
+    let Some(orders) = ports.await_start(core, stopped) else { return };
     ports.torque_bell.open_alarm(&ports.joined.block);
     warm_up(core, ports, &mut evidence);
     let scenario = &ports.joined.scenario;
     let times = Times::of(scenario, first_deadline(scenario));
     core.start_at(times.t_0_ns);
     exchange(core, ports, times.t_0_ns - times.period_ns);
+    let duty = Duty { awake_since_ns: clock::now_ns() };
+    let mut cycle = Cycle { core, ports, times, orders, evidence, duty, faults: OwnFaults::default(), spin_gap_ns: 0 };
     let mut tick = 0;
-    let mut duty = Duty { awake_since_ns: clock::now_ns() };
-    while !stopped() && orders.stop_at.is_none_or(|stop| tick < stop) {
-        let wake_late_ns = duty.sleep_until(times.deadline_ns(tick) - times.lead_ns);
-        let opened = open_tick(core, ports, &times, tick, wake_late_ns, &orders);
-        tick = opened.map_or_else(
-            |beyond| beyond,
-            |opened| {
-                one_tick(core, ports, &times, &opened, &mut suffering, &mut evidence, &mut orders);
-                opened.state.tick + 1
-            },
-        );
+    while !stopped() && !cycle.orders.is_over(tick) {
+        tick = cycle.one_tick(tick);
     }
-    clock::sleep_until_ns(times.deadline_ns(tick));
-    core.finish(clock::now_ns());
-    publish_closed(core, ports);
+    cycle.finish(tick);
+}
+
+/// The loop: what it works on, and what it keeps from tick to tick.
+struct Cycle<'a, const N: usize> {
+    core: &'a mut PlantCore<N>,
+    ports: &'a Ports,
+    times: Times,
+    orders: Orders,
+    evidence: EvidenceReader,
+    duty: Duty,
+    faults: OwnFaults,
+    /// The longest gap seen while spinning in the open tick, ns.
+    spin_gap_ns: u64,
+}
+
+/// When a tick was sampled.
+struct Sampled {
+    /// The tick: the one that was due, or a later one after an overrun.
+    tick: u64,
+    at_ns: u64,
+    /// Ticks whose end had passed: they are counted, never published.
+    skipped: u64,
+}
+
+impl<const N: usize> Cycle<'_, N> {
+    /// The tick that is due, from the sleep before it to its slack; returns the next one.
+    fn one_tick(&mut self, due: u64) -> u64 {
+        let wake_late_ns = self.wait(due);
+        let mapped_ns = self.read();
+        let sampled = self.sample(due);
+        if let Some(end) = self.orders.stop_at.filter(|end| sampled.tick >= *end) {
+            // An overrun has passed the end of the run.
+            self.core.count_skipped(end - due);
+            return end;
+        }
+        let state = self.compute(&sampled, wake_late_ns, mapped_ns);
+        let grace_deadline_ns = self.publish(state);
+        self.await_torque(grace_deadline_ns, self.times.cutoff_ns(sampled.tick));
+        self.record(sampled.tick + 1);
+        sampled.tick + 1
+    }
+
+    /// Sleeps until shortly before the deadline; how late the kernel ended the sleep.
+    fn wait(&mut self, due: u64) -> u64 {
+        self.duty.sleep_until(self.times.deadline_ns(due) - self.times.lead_ns)
+    }
+
+    /// Maps what has joined (its time if it was long), and takes what has come since the tick before.
+    fn read(&mut self) -> Option<u64> {
+        let from_ns = clock::now_ns();
+        self.ports.update_connections();
+        let mapped_ns = clock::now_ns() - from_ns;
+        self.ports.drain_setpoints(self.core);
+        // Any torque still here came after the cut-off: another tick's by the time it could act.
+        while let Some(torque) = self.ports.next_torque() {
+            self.core.authority.too_late(&torque, clock::now_ns());
+        }
+        (mapped_ns > role::MAPPING_NS).then_some(mapped_ns)
+    }
+
+    /// Waits for the deadline itself.
+    fn sample(&mut self, due: u64) -> Sampled {
+        let deadline_ns = self.times.deadline_ns(due);
+        self.spin_gap_ns = 0;
+        let at_ns = if self.ports.torque_bell.is_time_triggered() {
+            self.ports.torque_bell.spin_until(deadline_ns, &mut self.spin_gap_ns)
+        } else {
+            clock::sleep_until_ns(deadline_ns);
+            clock::now_ns()
+        };
+        let skipped = (at_ns - deadline_ns) / self.times.period_ns;
+        Sampled { tick: due + skipped, at_ns, skipped }
+    }
+
+    /// Closes the tick before, integrates to now, and opens this tick: its state, ready to be published. The injected faults
+    /// of the plant that take time take it here.
+    fn compute(&mut self, sampled: &Sampled, wake_late_ns: u64, mapped_ns: Option<u64>) -> State {
+        let Sampled { tick, at_ns, skipped } = *sampled;
+        let state = self.core.open(Opening {
+            tick,
+            deadline_ns: self.times.deadline_ns(tick),
+            sampled_ns: at_ns,
+            grace_deadline_ns: self.times.grace_deadline_ns(tick, at_ns),
+            skipped,
+            wake_late_ns,
+        });
+        if let Some(took_ns) = mapped_ns {
+            self.core.note_join(took_ns);
+        }
+        self.faults.begin(self.core, self.ports, tick);
+        if let Some(injected) = &mut self.orders.injected {
+            injected.mark(self.core, tick);
+        }
+        state
+    }
+
+    /// Publishes the state and wakes the controllers; the grace deadline, which counts from here.
+    fn publish(&mut self, mut state: State) -> u64 {
+        let (ports, now_ns) = (self.ports, clock::now_ns());
+        let grace_deadline_ns = self.times.grace_deadline_ns(state.tick, now_ns);
+        let squeezed = grace_deadline_ns.saturating_sub(now_ns) < self.times.grace_ns / 2;
+        state.published_ns = self.faults.stamp_ns(now_ns);
+        state.grace_deadline_ns = grace_deadline_ns;
+        self.core.stamp_published(state.published_ns, grace_deadline_ns, squeezed);
+        self.faults.publish(ports, &state);
+        let block = &ports.joined.block;
+        ports.state_bell.ring(block);
+        block.pace().plant_tick.store(state.tick, Ordering::Release);
+        grace_deadline_ns
+    }
+
+    /// Waits until some torque for the tick acts: to the grace deadline, then on to the cut-off.
+    fn await_torque(&mut self, grace_deadline_ns: u64, cutoff_ns: u64) {
+        self.await_until(grace_deadline_ns);
+        // Also when all is settled: the authority wants to know once a tick.
+        self.core.grace_passed(clock::now_ns());
+        if !self.core.authority.is_settled() {
+            self.await_until(cutoff_ns);
+        }
+    }
+
+    fn await_until(&mut self, until_ns: u64) {
+        let (core, ports) = (&mut *self.core, self.ports);
+        ports.torque_bell.wait(&ports.joined.block, clock::now_ns(), until_ns, &mut self.spin_gap_ns, || {
+            while let Some(torque) = ports.next_torque() {
+                core.arrive(&torque, clock::now_ns());
+            }
+            core.authority.is_settled().then_some(())
+        });
+    }
+
+    /// The slack: publishes the record of the tick before, reads the evidence of this one, answers commands, and sets the
+    /// alarm of the tick that comes.
+    fn record(&mut self, next: u64) {
+        self.ports.publish_closed(self.core);
+        self.core.note_slack(self.evidence.read(), self.spin_gap_ns);
+        self.ports.serve(self.core, &mut self.orders);
+        let grace_deadline_ns = self.times.grace_deadline_ns(next, self.times.deadline_ns(next));
+        self.ports.torque_bell.set_end(&self.ports.joined.block, grace_deadline_ns);
+    }
+
+    /// Ends the last tick at the deadline of `tick`, which is not published any more.
+    fn finish(&mut self, tick: u64) {
+        clock::sleep_until_ns(self.times.deadline_ns(tick));
+        self.core.finish(clock::now_ns());
+        self.ports.publish_closed(self.core);
+    }
 }
 
 /// Sees to it that this process sleeps now and then also when it is overloaded: a real-time thread that never does is
@@ -157,156 +285,32 @@ fn exchange<const N: usize>(core: &PlantCore<N>, ports: &Ports, deadline_ns: u64
     ports.torque_bell.wait(block, now_ns, now_ns + 300_000, &mut 0, || ports.torques.take());
 }
 
-/// A tick whose state is ready to be published.
-struct OpenTick {
-    state: State,
-    /// The longest gap seen while spinning to the deadline, ns.
-    gap_ns: u64,
-}
-
-/// Waits for the deadline and samples; the end of the run instead if an overrun passed it.
-fn open_tick<const N: usize>(
-    core: &mut PlantCore<N>,
-    ports: &Ports,
-    times: &Times,
-    tick: u64,
-    wake_late_ns: u64,
-    orders: &Orders,
-) -> Result<OpenTick, u64> {
-    let mut gap_ns = 0;
-    let joined_ns = prepare(core, ports);
-    let sampled_ns = wait_for_deadline(ports, times.deadline_ns(tick), &mut gap_ns);
-    // An overrun: the ticks whose end has passed are skipped and counted, never published.
-    let skipped = (sampled_ns - times.deadline_ns(tick)) / times.period_ns;
-    if let Some(stop) = orders.stop_at.filter(|stop| tick + skipped >= *stop) {
-        core.count_skipped(stop - tick);
-        return Err(stop);
-    }
-    let tick = tick + skipped;
-    let state = core.open(Opening {
-        tick,
-        deadline_ns: times.deadline_ns(tick),
-        sampled_ns,
-        grace_deadline_ns: times.grace_deadline_ns(tick, sampled_ns),
-        skipped,
-        wake_late_ns,
-    });
-    if let Some(took_ns) = joined_ns {
-        core.note_join(took_ns);
-    }
-    Ok(OpenTick { state, gap_ns })
-}
-
-/// Publishes the state, waits for its torque, and does what the slack is for.
-fn one_tick<const N: usize>(
-    core: &mut PlantCore<N>,
-    ports: &Ports,
-    times: &Times,
-    opened: &OpenTick,
-    suffering: &mut Suffering,
-    evidence: &mut EvidenceReader,
-    orders: &mut Orders,
-) {
-    let block = &ports.joined.block;
-    let (mut state, mut gap_ns) = (opened.state, opened.gap_ns);
-    let tick = state.tick;
-    let faults = suffering.begin(core, ports, tick);
-    if let Some(struck) = &mut orders.struck {
-        struck.mark(core, tick);
-    }
-    let now_ns = clock::now_ns();
-    let (published_ns, grace_deadline_ns) = (suffering.stamp_ns(now_ns), times.grace_deadline_ns(tick, now_ns));
-    (state.published_ns, state.grace_deadline_ns) = (published_ns, grace_deadline_ns);
-    let squeezed = grace_deadline_ns.saturating_sub(now_ns) < times.grace_ns / 2;
-    core.stamp_published(published_ns, grace_deadline_ns, squeezed);
-    suffering.publish(ports, &state, &faults);
-    ports.state_bell.ring(block);
-    block.pace().plant_tick.store(tick, Ordering::Release);
-    await_torque(core, ports, times.cutoff_ns(tick), grace_deadline_ns, &mut gap_ns);
-    publish_closed(core, ports);
-    core.note_slack(evidence.read(), gap_ns);
-    ports.serve(core, orders);
-    ports.torque_bell.set_end(block, times.grace_deadline_ns(tick + 1, times.deadline_ns(tick + 1)));
-}
-
-/// In the slack before the deadline: maps what joined (its time if it was long), takes what came late.
-fn prepare<const N: usize>(core: &mut PlantCore<N>, ports: &Ports) -> Option<u64> {
-    let from_ns = clock::now_ns();
-    ports.update_connections();
-    let took_ns = clock::now_ns() - from_ns;
-    ports.drain_setpoints(core);
-    // Anything still here came after the cut-off: another tick's by the time it could act.
-    while let Some(torque) = ports.next_torque() {
-        core.authority.too_late(&torque, clock::now_ns());
-    }
-    (took_ns > role::MAPPING_NS).then_some(took_ns)
-}
-
-fn wait_for_deadline(ports: &Ports, deadline_ns: u64, gap_ns: &mut u64) -> u64 {
-    if ports.torque_bell.is_time_triggered() {
-        ports.torque_bell.spin_until(deadline_ns, gap_ns)
-    } else {
-        clock::sleep_until_ns(deadline_ns);
-        clock::now_ns()
-    }
-}
-
-/// Waits until some torque for the tick acts: to the grace deadline, then on to the cut-off.
-fn await_torque<const N: usize>(
-    core: &mut PlantCore<N>,
-    ports: &Ports,
-    cutoff_ns: u64,
-    grace_deadline_ns: u64,
-    gap_ns: &mut u64,
-) {
-    let block = &ports.joined.block;
-    for (until_ns, at_grace) in [(grace_deadline_ns, true), (cutoff_ns, false)] {
-        ports.torque_bell.wait(block, clock::now_ns(), until_ns, gap_ns, || {
-            while let Some(torque) = ports.next_torque() {
-                core.arrive(&torque, clock::now_ns());
-            }
-            core.authority.is_settled().then_some(())
-        });
-        if at_grace {
-            // Also when all is settled: the authority wants to know once a tick.
-            core.grace_passed(clock::now_ns());
-        }
-        if core.authority.is_settled() {
-            return;
-        }
-    }
-}
-
-fn publish_closed<const N: usize>(core: &PlantCore<N>, ports: &Ports) {
-    if let Some(record) = core.closed() {
-        ports.records.send(*record);
-    }
-}
-
-/// The plant's own injected faults, and what of them lasts beyond a tick.
+/// The faults injected into the plant itself, and what of them lasts beyond a tick.
 #[derive(Default)]
-struct Suffering {
+struct OwnFaults {
+    /// Those of the open tick.
+    actions: FaultActions,
     /// A state that is published after its successor.
     kept_back: Option<State>,
     clock_off_ns: i64,
 }
 
-impl Suffering {
-    /// The faults of a tick; those that take time or end it have struck on return.
-    fn begin<const N: usize>(&mut self, core: &mut PlantCore<N>, ports: &Ports, tick: u64) -> FaultActions {
-        let faults = ports.faults.at_tick(tick);
-        if faults.any() {
-            core.note_fault(None);
-            if faults.kill {
-                role::kill_self();
-            }
-            if faults.hang_ns > 0 || faults.delay_ns > 0 {
-                let now_ns = clock::now_ns();
-                clock::wait_until_ns(now_ns.saturating_add(faults.hang_ns).saturating_add(faults.delay_ns));
-            }
-            self.clock_off_ns = self.clock_off_ns.saturating_add(faults.clock_step_ns);
+impl OwnFaults {
+    /// Finds the faults of a tick; those that take time, or end the process, are over on return.
+    fn begin<const N: usize>(&mut self, core: &mut PlantCore<N>, ports: &Ports, tick: u64) {
+        self.actions = ports.faults.at_tick(tick);
+        let FaultActions { kill, hang_ns, delay_ns, clock_step_ns, .. } = self.actions;
+        if !self.actions.any() {
+            return;
         }
-        faults
+        core.note_fault(None);
+        if kill {
+            role::kill_self();
+        }
+        if hang_ns > 0 || delay_ns > 0 {
+            clock::wait_until_ns(clock::now_ns().saturating_add(hang_ns).saturating_add(delay_ns));
+        }
+        self.clock_off_ns = self.clock_off_ns.saturating_add(clock_step_ns);
     }
 
     /// The stamp of an instant by this process's clock, which a fault may have stepped.
@@ -314,14 +318,15 @@ impl Suffering {
         now_ns.saturating_add_signed(self.clock_off_ns)
     }
 
-    fn publish(&mut self, ports: &Ports, state: &State, faults: &FaultActions) {
+    /// Sends the state of the open tick, as its faults have it.
+    fn publish(&mut self, ports: &Ports, state: &State) {
         let kept_back = self.kept_back.take();
-        if faults.reorder {
+        if self.actions.reorder {
             self.kept_back = Some(*state);
-        } else if !faults.drop {
+        } else if !self.actions.drop {
             ports.states.send(*state);
         }
-        if faults.duplicate {
+        if self.actions.duplicate {
             ports.states.send(*state);
         }
         if let Some(older) = kept_back {

@@ -131,7 +131,7 @@ codes! {
         Swap = 1, "swap";
         /// A standby took over within the tick. Subject: new id; detail: old id.
         Failover = 2, "failover";
-        /// A swap was taken back. Subject: id in charge again; detail: a `Refusal` code.
+        /// A swap was rolled back. Subject: the id that is active again; detail: a `Refusal` code.
         Rollback = 3, "rollback";
         /// A swap was refused at its gate. Subject: id refused; detail: a `Refusal` code; value: the number.
         SwapRefused = 4, "swap refused";
@@ -145,11 +145,11 @@ codes! {
         MemberAdded = 8, "member added";
         /// A controller is no member any more. Subject: its id.
         MemberRemoved = 9, "member removed";
-        /// A fault was injected by command. Subject: the controller it befalls; detail: a `LiveFault` code; value: its
+        /// A fault was injected by command. Subject: the controller it targets; detail: a `LiveFault` code; value: its
         /// length in ticks.
         FaultInjected = 10, "fault injected";
-        /// A standby's torque acted and the controller in charge stays it: the plant had begun the tick too late for an answer,
-        /// or a switch is still being watched. Subject: the standby; detail: the one in charge.
+        /// A standby's torque acted and the active controller stays active: the plant had begun the tick too late for an answer,
+        /// or a switch is still being watched. Subject: the standby; detail: the active one.
         StoodIn = 12, "stood in";
         /// The loop ran away: the plant stops for good. Subject: the joint; detail: a `RunawayKind` code; value: what it was,
         /// 0 where it was not finite.
@@ -182,7 +182,7 @@ codes! {
         Swap = 5, "swap";
         /// Say how the swap asked for last is doing.
         SwapStatus = 6, "swap status";
-        /// A fault befalls `controller` from `tick` on for `ns`: mark those ticks. `option`: a `LiveFault` code.
+        /// A fault targets `controller` from `tick` on for `ns`: mark those ticks. `option`: a `LiveFault` code.
         Fault = 7, "fault";
         /// Forget the swap to `controller` if it still waits.
         CancelSwap = 8, "cancel swap";
@@ -212,7 +212,7 @@ codes! {
         Pending = 2, "pending";
         /// Not done.
         Refused = 3, "refused";
-        /// Done, and taken back.
+        /// Done, and rolled back.
         RolledBack = 4, "rolled back";
     }
 
@@ -222,7 +222,7 @@ codes! {
         BadCommand = 1, "the command is not understood";
         /// No such member.
         UnknownController = 2, "no such controller";
-        /// It is in charge already.
+        /// It is the active controller.
         AlreadyActive = 3, "that controller is in charge already";
         /// Another swap is under way.
         Busy = 4, "another swap is under way";
@@ -238,8 +238,8 @@ codes! {
         Dwell = 9, "too soon after the last swap";
         /// The tick named has passed.
         TickPassed = 10, "the tick named has passed";
-        /// Promise (a) was broken after the switch.
-        Promise = 11, "the bound's promise was broken after the switch";
+        /// V was above its certified bound after the switch.
+        BoundExceeded = 11, "the bound's promise was broken after the switch";
         /// Deadlines were missed after the switch.
         Deadlines = 12, "deadlines were missed after the switch";
         /// The controller left.

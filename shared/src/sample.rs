@@ -345,7 +345,7 @@ message! {
         pub wake_late_ns: u64,
         /// [`crate::event::Decision`].
         pub decision: u32,
-        /// The controller in charge at the end of the tick …
+        /// The active controller at the end of the tick …
         pub active: u32,
         /// … and its epoch.
         pub epoch: u32,

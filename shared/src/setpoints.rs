@@ -16,7 +16,7 @@ pub const BRAKE_NS: u64 = 500_000_000;
 
 /// A setpoint found for an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Found<const N: usize> {
+pub struct FoundSetpoint<const N: usize> {
     /// q_d, q̇_d, q̈_d at the instant asked for.
     pub value: SetpointValue<N>,
     /// The tick of the setpoint that was used.
@@ -120,9 +120,9 @@ impl SetpointBook {
 
     /// The same with the vectors of the mathematics.
     #[must_use]
-    pub fn at<const N: usize>(&self, tick: u64, offset_ns: u64) -> Option<Found<N>> {
+    pub fn at<const N: usize>(&self, tick: u64, offset_ns: u64) -> Option<FoundSetpoint<N>> {
         let found = self.at_links(tick, offset_ns)?;
-        Some(Found {
+        Some(FoundSetpoint {
             value: SetpointValue { q_d: to_vector(&found.q_d), v_d: to_vector(&found.v_d), a_d: to_vector(&found.a_d) },
             tick: found.tick,
             published_ns: found.published_ns,

@@ -268,14 +268,17 @@ fn a_swap_carries_its_step_its_misses_and_the_reason_of_its_rollback() {
     let mut swap = happened(good(4), HappeningKind::Swap, 2, 1, 0.25);
     // In lockstep the old torque is in the record before.
     swap.segments[0] = Segment { tau: [0.5, -1.5, 0.0, 0.0, 0.0, 0.0, 0.0], writer: 2, ..swap.segments[0] };
-    let back = happened(good(7), HappeningKind::Rollback, 1, u64::from(Refusal::Promise.code()), 0.0);
+    let back = happened(good(7), HappeningKind::Rollback, 1, u64::from(Refusal::BoundExceeded.code()), 0.0);
     feed_all(&mut tracker, [good(1), refused, good(3), swap, unanswered(5), unanswered(6), back, unanswered(90)]);
     let swaps = tracker.summarise().swaps;
     assert_eq!((swaps.len(), swaps[0].result.as_str(), swaps[0].torque_step_nm), (2, "refused", Some(7.5)));
     assert_eq!(swaps[0].reason.as_deref(), Some(Refusal::TorqueStep.name()));
     assert_eq!((swaps[1].from, swaps[1].to, swaps[1].missed_ticks, swaps[1].torque_step_nm), (1, 2, 2, Some(1.5)));
     assert_eq!((swaps[1].torque_steps_nm.clone(), swaps[1].torque_difference_nm), (vec![0.5, -1.5, 0.0], Some(0.25)));
-    assert_eq!((swaps[1].result.as_str(), swaps[1].reason.as_deref()), ("rolled back", Some(Refusal::Promise.name())));
+    assert_eq!(
+        (swaps[1].result.as_str(), swaps[1].reason.as_deref()),
+        ("rolled back", Some(Refusal::BoundExceeded.name()))
+    );
 }
 
 #[test]

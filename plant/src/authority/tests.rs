@@ -1,4 +1,6 @@
+use super::members::{READMIT_AFTER, Standing};
 use super::*;
+use loopbound_shared::sample::{Counters, Happening, torque_flag};
 
 const GRACE_NS: u64 = 500_000;
 const PERIOD_NS: u64 = 1_000_000;
@@ -7,7 +9,7 @@ fn rules() -> SwapRules {
     SwapRules::of(&loopbound_scenario::Scenario::default())
 }
 
-/// Controller 1 in charge, 2 and 3 its standbys, in this order; tick 1 is open.
+/// Controller 1 active, 2 and 3 its standbys, in this order; tick 1 is open.
 fn group() -> Authority {
     let mut authority = Authority::new(2, rules());
     for id in 1..=3 {
@@ -54,7 +56,7 @@ fn acceptance_of(authority: &Authority, writer: u32) -> Option<Acceptance> {
 }
 
 fn happened(authority: &mut Authority, kind: HappeningKind) -> Option<Happening> {
-    let (happenings, used) = authority.take_happenings();
+    let (happenings, used) = authority.journal.take_happenings();
     happenings[..used].iter().find(|h| h.kind == kind.code()).copied()
 }
 
@@ -89,7 +91,7 @@ fn each_bad_torque_has_its_own_counter_and_never_acts() {
     let mut counters = Counters::zeroed();
     (counters.unknown_writer, counters.stale, counters.malformed) = (1, 1, 1);
     (counters.not_finite, counters.duplicate) = (1, 1);
-    assert_eq!(group.counters, counters);
+    assert_eq!(group.journal.counters, counters);
     assert_eq!(group.decision(), None);
     assert_eq!(acceptance_of(&group, 9), Some(Acceptance::UnknownWriter));
 }
@@ -101,7 +103,7 @@ fn a_second_torque_of_one_writer_is_a_duplicate_and_leaves_the_first_as_it_is() 
     let second = Torque { tau: [50.0; 7], ..first };
     assert!(offer(&mut group, &first, 10).is_some());
     assert_eq!(offer(&mut group, &second, 20), None);
-    assert_eq!((group.counters.duplicate, acceptance_of(&group, 1)), (1, Some(Acceptance::Applied)));
+    assert_eq!((group.journal.counters.duplicate, acceptance_of(&group, 1)), (1, Some(Acceptance::Applied)));
 }
 
 #[test]
@@ -115,7 +117,7 @@ fn a_missing_torque_is_replaced_by_the_first_standbys_at_the_grace_deadline() {
     let applied = group.grace_passed(deadline_ns).unwrap();
     assert_eq!((applied.writer, applied.epoch, group.active()), (2, 2, (2, 2)));
     assert_eq!(group.decision(), Some(Decision::Standby));
-    assert_eq!((group.counters.missed, group.counters.failovers), (0, 1));
+    assert_eq!((group.journal.counters.missed, group.journal.counters.failovers), (0, 1));
     let failover = happened(&mut group, HappeningKind::Failover).unwrap();
     assert_eq!((failover.subject, failover.detail), (2, 1));
     assert_eq!(group.grace_passed(deadline_ns), None, "the deadline passes once a tick");
@@ -137,7 +139,7 @@ fn a_torque_that_is_visibly_no_good_hands_over_before_the_deadline() {
             assert_eq!(offer(&mut group, &order[0], 10), None);
             let applied = offer(&mut group, &order[1], 20).unwrap();
             assert_eq!((applied.writer, applied.from_ns), (2, PERIOD_NS + 20));
-            assert_eq!((group.counters.failovers, group.counters.missed), (1, 0));
+            assert_eq!((group.journal.counters.failovers, group.journal.counters.missed), (1, 0));
         }
     }
 }
@@ -161,7 +163,7 @@ fn a_late_torque_acts_from_its_arrival_when_nobody_else_answers_and_the_tick_is_
     // The loop had not yet said that the deadline had passed; the tick counts as missed nevertheless, and once.
     let after_ns = at(&group, GRACE_NS + 8);
     assert_eq!(group.grace_passed(after_ns), None);
-    assert_eq!((group.counters.missed, group.counters.late), (1, 1));
+    assert_eq!((group.journal.counters.missed, group.journal.counters.late), (1, 1));
 }
 
 #[test]
@@ -171,7 +173,7 @@ fn a_late_torque_never_acts_when_a_standby_had_answered() {
     offer(&mut group, &standby, 10);
     let applied = offer(&mut group, &late, GRACE_NS + 1).unwrap();
     assert_eq!((applied.writer, group.decision()), (2, Some(Decision::Standby)));
-    assert_eq!((group.counters.fenced, group.counters.missed), (1, 0));
+    assert_eq!((group.journal.counters.fenced, group.journal.counters.missed), (1, 0));
 }
 
 #[test]
@@ -181,7 +183,7 @@ fn a_standby_that_answers_after_the_deadline_still_saves_the_tick_but_not_its_co
     assert_eq!(group.grace_passed(deadline_ns), None);
     let late = Torque { published_ns: at(&group, GRACE_NS + 5), ..answer(&group, 2) };
     assert_eq!(offer(&mut group, &late, GRACE_NS + 10).map(|applied| applied.writer), Some(2));
-    assert_eq!((group.counters.missed, acceptance_of(&group, 2)), (1, Some(Acceptance::LateUnused)));
+    assert_eq!((group.journal.counters.missed, acceptance_of(&group, 2)), (1, Some(Acceptance::LateUnused)));
 }
 
 #[test]
@@ -226,10 +228,10 @@ fn a_fenced_controller_is_a_standby_again_after_twenty_good_answers_in_the_new_e
         good = if tick < 5 || tick == 10 { 0 } else { good + 1 };
         let expected =
             if good < READMIT_AFTER && tick < 30 { Standing::Fenced { since_epoch: 2 } } else { Standing::Standby };
-        assert_eq!(group.member(1).unwrap().standing, expected, "tick {tick}");
+        assert_eq!(group.members.get(1).unwrap().standing, expected, "tick {tick}");
     }
     // 2..=29 but for the silent tick 10.
-    assert_eq!(group.counters.fenced, 27);
+    assert_eq!(group.journal.counters.fenced, 27);
     open(&mut group, 60);
     let back = answer(&group, 1);
     offer(&mut group, &back, 10);
@@ -250,7 +252,7 @@ fn a_fenced_controllers_torque_is_out_of_reach_of_a_failover() {
     offer(&mut group, &fenced, 10);
     let deadline_ns = at(&group, GRACE_NS);
     assert_eq!(group.grace_passed(deadline_ns), None);
-    assert_eq!((group.counters.missed, group.counters.fenced, group.active().0), (1, 1, 2));
+    assert_eq!((group.journal.counters.missed, group.journal.counters.fenced, group.active().0), (1, 1, 2));
 }
 
 #[test]
@@ -276,7 +278,7 @@ fn a_streak_breaks_with_a_missing_a_late_and_a_bad_answer() {
                 offer(&mut group, &torque, 10);
             }
         }
-        assert_eq!(group.member(2).unwrap().streak, 1, "tick 5 alone");
+        assert_eq!(group.members.get(2).unwrap().streak, 1, "tick 5 alone");
     }
 }
 
@@ -288,10 +290,10 @@ fn a_torque_after_the_cut_off_is_counted_and_never_acts() {
     // A standby's good answer that nobody had looked at keeps its streak.
     let unread = answer(&group, 2);
     group.too_late(&unread, 20);
-    assert_eq!((acceptance_of(&group, 2), group.counters.stale), (Some(Acceptance::Standby), 0));
+    assert_eq!((acceptance_of(&group, 2), group.journal.counters.stale), (Some(Acceptance::Standby), 0));
     open(&mut group, 2);
     group.too_late(&old, 2 * PERIOD_NS);
-    assert_eq!((group.counters.stale, group.decision()), (1, None));
+    assert_eq!((group.journal.counters.stale, group.decision()), (1, None));
 }
 
 #[test]
@@ -317,14 +319,14 @@ fn the_receipt_of_one_that_answers_late_says_so_whether_or_not_it_answers_this_t
         }
         let receipt = receipt(&group);
         assert_eq!((receipt.acceptance, receipt.flags & late), (Acceptance::Applied.code(), late), "order {order}");
-        assert_eq!((group.counters.stale, group.decision()), (1, Some(Decision::Active)));
+        assert_eq!((group.journal.counters.stale, group.decision()), (1, Some(Decision::Active)));
     }
     // A stranger's answer to an earlier tick takes nobody's place.
     let mut group = group();
     let strange = Torque { writer: 99, ..answer(&group, 1) };
     open(&mut group, 2);
     group.too_late(&strange, 2 * PERIOD_NS);
-    assert_eq!((group.receipts().1, group.counters.stale), (0, 1));
+    assert_eq!((group.receipts().1, group.journal.counters.stale), (0, 1));
 }
 
 #[test]
@@ -343,12 +345,12 @@ fn there_is_room_for_eight_members_and_none_has_number_zero() {
 }
 
 #[test]
-fn decisions_of_the_plants_own_are_counted_by_their_rung() {
+fn decisions_of_the_plants_own_are_counted_by_their_step() {
     let mut group = group();
     for decision in [Decision::Held, Decision::Damped, Decision::Damped, Decision::Stopped, Decision::Active] {
-        group.close(decision);
+        group.journal.count_decision(decision);
     }
-    let Counters { ticks, held, damped, stopped, .. } = group.counters;
+    let Counters { ticks, held, damped, stopped, .. } = group.journal.counters;
     assert_eq!((ticks, held, damped, stopped), (5, 1, 2, 1));
 }
 
@@ -361,22 +363,25 @@ fn nobody_loses_authority_for_being_late_in_a_tick_that_left_no_time() {
     assert_eq!(offer(&mut authority, &from_standby, 100_000), None);
     let stands_in = authority.grace_passed(grace_ns);
     assert_eq!(stands_in.map(|applied| applied.writer), Some(2));
-    assert_eq!((authority.active(), authority.counters.failovers, authority.counters.missed), ((1, 1), 0, 0));
+    assert_eq!(
+        (authority.active(), authority.journal.counters.failovers, authority.journal.counters.missed),
+        ((1, 1), 0, 0)
+    );
     let happening = happened(&mut authority, HappeningKind::StoodIn).unwrap();
     assert_eq!((happening.subject, happening.detail), (2, 1));
     // What it says now is late and not used; its streak is not at an end for that.
-    let streak = authority.member(1).unwrap().streak;
+    let streak = authority.members.get(1).unwrap().streak;
     let late = answer(&authority, 1);
     assert_eq!(offer(&mut authority, &late, GRACE_NS + 1), None);
     assert_eq!(acceptance_of(&authority, 1), Some(Acceptance::LateUnused));
     open(&mut authority, 2);
-    assert_eq!(authority.member(1).unwrap().streak, streak);
+    assert_eq!(authority.members.get(1).unwrap().streak, streak);
     // In a tick with its time it is blamed.
     let from_standby = answer(&authority, 2);
     offer(&mut authority, &from_standby, 100_000);
     let grace_ns = at(&authority, GRACE_NS);
     assert_eq!(authority.grace_passed(grace_ns).map(|applied| applied.writer), Some(2));
-    assert_eq!((authority.active(), authority.counters.failovers), ((2, 2), 1));
+    assert_eq!((authority.active(), authority.journal.counters.failovers), ((2, 2), 1));
 }
 
 #[test]

@@ -2,7 +2,7 @@
 //!
 //! What is taken from the recording: when each torque began to act, whose it was and which sample it answers, the
 //! setpoint that its controller used, what was injected. What is computed again: the true and the measured state, every
-//! torque of a built-in law, the blends, the plant's own brake. A torque of a foreign controller is taken as recorded.
+//! torque of a built-in law, the blends, the plant's own damping. A torque of a foreign controller is taken as recorded.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -12,7 +12,7 @@ use loopbound_model::claim::Claim;
 use loopbound_model::integrator::{PlantState, integrate};
 use loopbound_model::law::{Law, LawInput, LawKind, fade_weight, faded};
 use loopbound_model::truth::Truth;
-use loopbound_plant::Brake;
+use loopbound_plant::Damping;
 use loopbound_scenario::controllers;
 use loopbound_scenario::system;
 use loopbound_scenario::{Scenario, ScenarioError};
@@ -80,7 +80,7 @@ impl AsRecorded {
 pub struct Engine<const N: usize> {
     scenario: Scenario,
     truth: Truth<N>,
-    brake: Brake<N>,
+    damping: Damping<N>,
     controllers: Vec<Known<N>>,
     state: PlantState<N>,
     acting: Option<(Segment, Vector<N>)>,
@@ -110,7 +110,7 @@ impl<const N: usize> Engine<N> {
         }
         Ok(Self {
             truth: scenario.build_truth()?,
-            brake: Brake::new(scenario)?,
+            damping: Damping::new(scenario)?,
             controllers,
             state,
             acting: None,
@@ -230,7 +230,7 @@ impl<const N: usize> Engine<N> {
         let answered = self.answered.iter().rev().find(|answered| answered.tick == segment.answered_tick);
         let answered = answered.ok_or(AsRecorded::NoSample)?;
         if segment.writer == 0 {
-            return Ok(self.brake.torque(&answered.input.q, &answered.input.v));
+            return Ok(self.damping.torque(&answered.input.q, &answered.input.v));
         }
         // How large it was is in no record.
         if self.spoilt.as_ref().is_some_and(|(id, ticks)| *id == segment.writer && ticks.contains(&answered.tick)) {

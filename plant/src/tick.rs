@@ -7,21 +7,24 @@
 use std::collections::VecDeque;
 
 use loopbound_model::integrator::{PlantState, integrate};
+use loopbound_model::trajectory::SetpointValue;
 use loopbound_model::truth::Truth;
 use loopbound_scenario::system;
 use loopbound_scenario::{ACTUATION_TICKS_MAX, Scenario, ScenarioError};
-use loopbound_shared::event::{Decision, HappeningKind, LiveFault, ReplyKind, Role};
+use loopbound_shared::clock;
+use loopbound_shared::event::{CommandKind, Decision, HappeningKind, LiveFault, Refusal, Role};
 use loopbound_shared::realtime::Evidence;
 use loopbound_shared::runaway;
 use loopbound_shared::sample::{
-    Command, Links, Origin, Reply, SEGMENTS_MAX, Segment, State, TickRecord, Torque, record_flag, to_links, to_vector,
+    Announce, Command, Origin, Reply, SEGMENTS_MAX, Segment, State, TickRecord, Torque, record_flag, to_links,
+    to_vector,
 };
 use loopbound_shared::setpoints::SetpointBook;
 
-use crate::authority::{Applied, Authority};
+use crate::authority::{Applied, Authority, SwapRules};
 use crate::fallback::Fallback;
 use crate::laws::Laws;
-use crate::swap::SwapRules;
+use crate::replies;
 
 /// Torques under way at once in the transport line of the actuation delay.
 const LINE_MAX: usize = 2 * ACTUATION_TICKS_MAX as usize;
@@ -47,7 +50,7 @@ pub struct Opening {
 pub struct PlantCore<const N: usize> {
     truth: Truth<N>,
     laws: Laws<N>,
-    /// Who is obeyed.
+    /// Which controller's torque acts.
     pub authority: Authority,
     /// The setpoints that have come.
     pub setpoints: SetpointBook,
@@ -61,7 +64,7 @@ pub struct PlantCore<const N: usize> {
     step_max_ns: u64,
     speed_limit_rad_s: f64,
     rests: bool,
-    /// The loop ran away in an earlier tick: the plant stands still for good.
+    /// The loop diverged in an earlier tick: the plant stands still for good.
     diverged: bool,
     acting: Segment,
     line: VecDeque<Segment>,
@@ -110,7 +113,7 @@ impl<const N: usize> PlantCore<N> {
     }
 
     /// Learns which law a controller claims to be.
-    pub fn learn(&mut self, announce: &loopbound_shared::sample::Announce) {
+    pub fn learn(&mut self, announce: &Announce) {
         let authority = &self.authority;
         self.laws.learn(announce, |id| authority.member_ids().any(|member| member == id));
     }
@@ -121,12 +124,12 @@ impl<const N: usize> PlantCore<N> {
         let plant_ns = at.sampled_ns - self.t_0_ns;
         self.close(at.sampled_ns, plant_ns, at.skipped);
         let setpoint = self.setpoint_value(at.tick, at.sampled_ns - at.deadline_ns);
-        let held = self.promise_held(&setpoint);
-        let judge = self.laws.at(&self.state, &setpoint);
-        self.authority.switch_if_due(at.tick, held, &judge);
+        let bound_held = self.bound_held(&setpoint);
+        let levels = self.laws.at(&self.state, &setpoint);
+        self.authority.switch_if_due(at.tick, bound_held, &levels);
         self.authority.open(at.tick, at.grace_deadline_ns);
         self.begin_record(&at, plant_ns);
-        self.brake_if_lost(at.tick);
+        self.fall_back_if_due(at.tick);
         let record = &self.record;
         State {
             origin: record.origin,
@@ -148,7 +151,8 @@ impl<const N: usize> PlantCore<N> {
 
     /// Stamps the publication of the open tick's state, from which the grace deadline counts.
     pub fn stamp_published(&mut self, published_ns: u64, grace_deadline_ns: u64, squeezed: bool) {
-        (self.record.published_ns, self.record.grace_deadline_ns) = (published_ns, grace_deadline_ns);
+        self.record.published_ns = published_ns;
+        self.record.grace_deadline_ns = grace_deadline_ns;
         self.authority.grace_until(grace_deadline_ns, squeezed);
     }
 
@@ -188,18 +192,18 @@ impl<const N: usize> PlantCore<N> {
         self.record.spin_gap_ns = self.record.spin_gap_ns.max(spin_gap_ns);
     }
 
-    /// Notes something in the open tick's record.
+    /// Notes in the open tick's record that it took so long to map what joined.
     pub fn note_join(&mut self, took_ns: u64) {
         self.record.flags |= record_flag::JOINED;
-        self.authority.happen(HappeningKind::Joined, 0, took_ns, 0.0);
+        self.authority.journal.note(HappeningKind::Joined, 0, took_ns, 0.0);
     }
 
-    /// Marks the open tick as one that an injected fault befalls. At the first one, which it is, whom it befalls, and for
-    /// how many ticks.
+    /// Marks the open tick as one with an injected fault. `begins`: in the first one, the fault, its target, and for how
+    /// many ticks.
     pub fn note_fault(&mut self, begins: Option<(LiveFault, u32, u64)>) {
         self.record.flags |= record_flag::FAULT_INJECTED;
         if let Some((kind, target, ticks)) = begins {
-            self.authority.happen(HappeningKind::FaultInjected, target, u64::from(kind.code()), ticks as f64);
+            self.authority.journal.note(HappeningKind::FaultInjected, target, u64::from(kind.code()), ticks as f64);
         }
     }
 
@@ -212,9 +216,10 @@ impl<const N: usize> PlantCore<N> {
     /// Counts an overrun of so many ticks, none if 0. Those before a tick that is opened are counted by
     /// [`PlantCore::open`]; the loop counts those that the end of the run cuts off.
     pub fn count_skipped(&mut self, ticks: u64) {
-        self.authority.counters.skipped += ticks;
-        self.authority.counters.missed += ticks;
-        self.authority.counters.overruns += u64::from(ticks > 0);
+        let counters = &mut self.authority.journal.counters;
+        counters.skipped += ticks;
+        counters.missed += ticks;
+        counters.overruns += u64::from(ticks > 0);
     }
 
     /// Ends the last tick at `end_ns`; its record is marked as the last.
@@ -232,8 +237,6 @@ impl<const N: usize> PlantCore<N> {
 
     /// Carries out what concerns authority; the loop handles start, stop and faults.
     pub fn command(&mut self, command: &Command) -> Reply {
-        use loopbound_shared::event::{CommandKind, Refusal};
-        let done = Reply { kind: ReplyKind::Done.code(), tick: self.authority.tick(), ..Reply::zeroed() };
         let outcome = match CommandKind::from_code(command.kind) {
             Some(CommandKind::AddMember) => self.authority.add(command.controller),
             Some(CommandKind::RemoveMember) => {
@@ -245,7 +248,7 @@ impl<const N: usize> PlantCore<N> {
             Some(CommandKind::CancelSwap) => return self.authority.cancel_swap(command.controller),
             Some(CommandKind::Start | CommandKind::StopAt | CommandKind::Fault) | None => Err(Refusal::BadCommand),
         };
-        outcome.map_or_else(Authority::refused, |()| done)
+        outcome.map_or_else(replies::refused, |()| replies::done(self.authority.tick()))
     }
 
     fn apply(&mut self, applied: &Applied) {
@@ -253,16 +256,16 @@ impl<const N: usize> PlantCore<N> {
         record.accepted_ns = applied.from_ns;
         [record.used_q_d, record.used_v_d, record.used_a_d] = applied.setpoint;
         if self.diverged {
-            // The answer came, and that is noted; the plant obeys nobody any more.
+            // The answer came, and that is noted; no torque acts on the plant any more.
             return;
         }
         let (tau, saturated) = self.truth.saturate(&to_vector::<N>(&applied.tau));
         if saturated {
             record.flags |= record_flag::SATURATED;
-            self.authority.counters.saturated += 1;
+            self.authority.journal.counters.saturated += 1;
         }
         if let Some(ticks) = self.fallback.answered() {
-            self.authority.happen(HappeningKind::Fallback, Decision::Active.code(), ticks, 0.0);
+            self.authority.journal.note(HappeningKind::Fallback, Decision::Active.code(), ticks, 0.0);
         }
         self.enqueue(Segment {
             from_plant_ns: applied.from_ns - self.t_0_ns + self.actuation_delay_ns,
@@ -277,7 +280,7 @@ impl<const N: usize> PlantCore<N> {
         if self.line.len() < LINE_MAX {
             self.line.push_back(segment);
         } else {
-            self.authority.counters.segments_dropped += 1;
+            self.authority.journal.counters.segments_dropped += 1;
         }
     }
 
@@ -316,7 +319,7 @@ impl<const N: usize> PlantCore<N> {
             self.record.segments[used] = self.acting;
             self.record.segments_used += 1;
         } else {
-            self.authority.counters.segments_dropped += 1;
+            self.authority.journal.counters.segments_dropped += 1;
         }
     }
 
@@ -335,28 +338,22 @@ impl<const N: usize> PlantCore<N> {
             let v = self.laws.robust_v(&self.record);
             self.fallback.unanswered(&self.record, v, &self.acting.tau);
         }
-        self.stop_if_lost(&start);
-        self.authority.close(decision);
+        self.stop_if_diverged(&start);
+        self.authority.journal.count_decision(decision);
         self.count_skipped(skipped);
-        let (receipts, receipts_used) = self.authority.receipts();
         let record = &mut self.record;
         record.end_ns = end_ns;
         record.end_plant_ns = end_plant_ns;
         record.decision = decision.code();
         (record.active, record.epoch) = self.authority.active();
-        record.receipts = *receipts;
-        record.receipts_used = u32::try_from(receipts_used).unwrap_or(0);
-        let (happenings, happenings_used) = self.authority.take_happenings();
-        record.happenings = happenings;
-        record.happenings_used = u32::try_from(happenings_used).unwrap_or(0);
-        record.counters = self.authority.counters;
+        self.authority.journal.enter(record);
         std::mem::swap(&mut self.record, &mut self.closed);
         self.has_closed = true;
     }
 
-    /// The safe stop of a loop that ran away in the tick that closes: the tick is taken back, so that no value of it that is
-    /// not finite is ever published, and the plant stands where it began, for good.
-    fn stop_if_lost(&mut self, start: &PlantState<N>) {
+    /// The safe stop of a loop that diverged in the tick that closes: the tick is undone, so that no value of it that is not
+    /// finite is ever published, and the plant stands where it began, for good.
+    fn stop_if_diverged(&mut self, start: &PlantState<N>) {
         let found = runaway::of_state(&self.state.q, &self.state.v, self.speed_limit_rad_s);
         let Some(found) = found.filter(|_| !self.diverged) else { return };
         self.diverged = true;
@@ -365,7 +362,7 @@ impl<const N: usize> PlantCore<N> {
         self.line.clear();
         self.fallback.stop();
         let value = if found.value.is_finite() { found.value } else { 0.0 };
-        self.authority.happen(HappeningKind::Diverged, found.joint, u64::from(found.kind.code()), value);
+        self.authority.journal.note(HappeningKind::Diverged, found.joint, u64::from(found.kind.code()), value);
     }
 
     fn begin_record(&mut self, at: &Opening, plant_ns: u64) {
@@ -380,7 +377,7 @@ impl<const N: usize> PlantCore<N> {
             None => flags |= record_flag::SETPOINT_NONE,
             Some(found) if found.stale => {
                 flags |= record_flag::SETPOINT_STALE;
-                self.authority.counters.setpoint_stale += 1;
+                self.authority.journal.counters.setpoint_stale += 1;
             }
             Some(_) => {}
         }
@@ -410,39 +407,39 @@ impl<const N: usize> PlantCore<N> {
             q_d: to_links(&setpoint.q_d),
             v_d: to_links(&setpoint.v_d),
             a_d: to_links(&setpoint.a_d),
-            disturbance: to_links(&self.truth.disturbance(loopbound_shared::clock::seconds(plant_ns))),
+            disturbance: to_links(&self.truth.disturbance(clock::seconds(plant_ns))),
             ..TickRecord::zeroed()
         };
     }
 
-    fn setpoint_value(&self, tick: u64, offset_ns: u64) -> loopbound_model::trajectory::SetpointValue<N> {
+    fn setpoint_value(&self, tick: u64, offset_ns: u64) -> SetpointValue<N> {
         self.setpoints.at(tick, offset_ns).map_or_else(|| system::rest_at(&self.state), |found| found.value)
     }
 
-    /// With nobody answering for longer than the last torque may be held, the plant brakes by itself from s_k on.
-    fn brake_if_lost(&mut self, tick: u64) {
-        let (measured_q, measured_v) =
-            (to_vector::<N>(&self.record.q_measured), to_vector::<N>(&self.record.v_measured));
-        let Some(tau) = self.fallback.brake(self.record.start_plant_ns, &measured_q, &measured_v) else { return };
-        if let Some((rung, ticks)) = self.fallback.take_change() {
-            self.authority.happen(HappeningKind::Fallback, rung.code(), ticks, 0.0);
+    /// With no answer for longer than the last torque may be held, the plant's own damping acts from s_k on.
+    fn fall_back_if_due(&mut self, tick: u64) {
+        let start_ns = self.record.start_plant_ns;
+        let (q, v) = (to_vector(&self.record.q_measured), to_vector(&self.record.v_measured));
+        let Some(tau) = self.fallback.own_torque(start_ns, &q, &v) else { return };
+        if let Some((step, ticks)) = self.fallback.take_change() {
+            self.authority.journal.note(HappeningKind::Fallback, step.code(), ticks, 0.0);
         }
         let (tau, _) = self.truth.saturate(&tau);
-        let tau: Links = to_links(&tau);
         self.line.clear();
         self.line.push_back(Segment {
-            from_plant_ns: self.record.start_plant_ns,
+            from_plant_ns: start_ns,
             answered_tick: tick,
             writer: 0,
             epoch: self.authority.active().1,
-            tau,
+            tau: to_links(&tau),
         });
     }
 
-    /// Promise (a) over the tick that was just closed; looked at only while a switch is being watched. It is the
-    /// promise of one law whose torque acts in time: a cross-fade, a late torque and a second switch promise nothing.
-    fn promise_held(&mut self, setpoint: &loopbound_model::trajectory::SetpointValue<N>) -> bool {
-        if self.authority.watch.is_none() {
+    /// Whether V was within its certified bound in the tick that was just closed; looked at only while a switch is being
+    /// watched. The bound is that of one law whose torque acts in time: nothing is certified of a tick with a cross-fade, a
+    /// late torque or a second switch.
+    fn bound_held(&mut self, setpoint: &SetpointValue<N>) -> bool {
+        if !self.authority.is_on_probation() {
             self.watched_v = None;
             return true;
         }
@@ -452,7 +449,7 @@ impl<const N: usize> PlantCore<N> {
         let h_ns = self.closed.end_plant_ns - self.closed.start_plant_ns;
         self.closed.decision != Decision::Active.code()
             || before.is_none_or(|(_, before)| {
-                before > certificate.level || Laws::<N>::promise_holds(certificate, before, v, h_ns)
+                before > certificate.level || Laws::<N>::bound_holds(certificate, before, v, h_ns)
             })
     }
 }

@@ -1,5 +1,7 @@
 use super::*;
-use loopbound_shared::event::{CommandKind, Decision};
+use crate::authority::Authority;
+use loopbound_scenario::Scenario;
+use loopbound_shared::event::{CommandKind, Decision, HappeningKind, ReplyKind};
 use loopbound_shared::sample::Torque;
 
 const PERIOD_NS: u64 = 1_000_000;
@@ -7,7 +9,7 @@ const PERIOD_NS: u64 = 1_000_000;
 /// V of every law, and the level that all are certified to.
 struct Physics(Option<(f64, f64)>);
 
-impl Judge for Physics {
+impl CertifiedLevels for Physics {
     fn level(&self, _: u32) -> Option<(f64, f64)> {
         self.0
     }
@@ -15,13 +17,13 @@ impl Judge for Physics {
 
 const CALM: Physics = Physics(Some((0.5, 1.0)));
 
-/// Two controllers that answer every tick, 1 in charge with torque 10, 2 with torque 12.
+/// Two controllers that answer every tick, 1 active with torque 10, 2 with torque 12.
 struct Bench {
     authority: Authority,
     tick: u64,
     tau: [f64; 2],
     answers: [bool; 2],
-    promise_held: bool,
+    bound_held: bool,
     acted: Option<(u32, f64)>,
 }
 
@@ -33,7 +35,7 @@ impl Bench {
         authority.add(1).unwrap();
         authority.add(2).unwrap();
         authority.appoint(1).unwrap();
-        Self { authority, tick: 0, tau: [10.0, 12.0], answers: [true; 2], promise_held: true, acted: None }
+        Self { authority, tick: 0, tau: [10.0, 12.0], answers: [true; 2], bound_held: true, acted: None }
     }
 
     fn ask(&mut self, at_tick: u64, blend_ticks: u64, force: bool) -> Reply {
@@ -55,7 +57,7 @@ impl Bench {
 
     fn tick(&mut self, physics: &Physics) {
         let (tick, from_ns) = (self.tick, self.tick * PERIOD_NS);
-        self.authority.switch_if_due(tick, self.promise_held, physics);
+        self.authority.switch_if_due(tick, self.bound_held, physics);
         self.authority.open(tick, from_ns + 500_000);
         self.acted = None;
         for (writer, (tau, answers)) in (1..).zip(self.tau.into_iter().zip(self.answers)) {
@@ -76,7 +78,8 @@ impl Bench {
         if let Some(applied) = self.authority.grace_passed(from_ns + 500_000) {
             self.acted = Some((applied.writer, applied.tau[0]));
         }
-        self.authority.close(self.authority.decision().unwrap_or(Decision::Held));
+        let decision = self.authority.decision().unwrap_or(Decision::Held);
+        self.authority.journal.count_decision(decision);
         self.tick += 1;
     }
 
@@ -86,7 +89,7 @@ impl Bench {
     }
 
     fn happened(&mut self, kind: HappeningKind) -> usize {
-        let (happenings, used) = self.authority.take_happenings();
+        let (happenings, used) = self.authority.journal.take_happenings();
         happenings[..used].iter().filter(|h| h.kind == kind.code()).count()
     }
 }
@@ -102,7 +105,7 @@ fn a_swap_without_a_tick_waits_for_its_gate_and_takes_authority_between_two_tick
     assert_eq!(bench.outcome(), (Some(ReplyKind::Done), None, 20));
     assert_eq!((bench.acted, bench.authority.active()), (Some((2, 12.0)), (2, 2)));
     assert_eq!(bench.authority.swap_status(2).value.to_bits(), 2.0_f64.to_bits(), "the torque step");
-    assert_eq!(bench.authority.counters.missed, 0);
+    assert_eq!(bench.authority.journal.counters.missed, 0);
 }
 
 #[test]
@@ -250,7 +253,7 @@ fn a_cross_fade_goes_on_with_one_of_the_two_when_the_other_is_silent() {
         bench.answers[silent] = false;
         bench.run(1);
         let (writer, tau) = if silent == 0 { (2, 12.0) } else { (1, 10.0) };
-        assert_eq!((bench.acted, bench.authority.counters.missed), (Some((writer, tau)), 0));
+        assert_eq!((bench.acted, bench.authority.journal.counters.missed), (Some((writer, tau)), 0));
         assert_eq!(bench.authority.active().0, 2, "a single miss is no verdict");
     }
 }
@@ -266,20 +269,20 @@ fn the_old_one_may_leave_in_the_middle_of_a_cross_fade() {
 }
 
 #[test]
-fn a_broken_promise_takes_the_swap_back_while_it_is_watched_and_not_after() {
+fn v_above_its_certified_bound_rolls_the_swap_back_while_it_is_watched_and_not_after() {
     let mut bench = Bench::new(|rules| rules.rollback_ticks = 50);
     bench.ask(30, 0, false);
     bench.run(40);
-    bench.promise_held = false;
+    bench.bound_held = false;
     bench.run(1);
     assert_eq!(bench.acted, Some((1, 10.0)));
-    assert_eq!(bench.outcome(), (Some(ReplyKind::RolledBack), Some(Refusal::Promise), 40));
+    assert_eq!(bench.outcome(), (Some(ReplyKind::RolledBack), Some(Refusal::BoundExceeded), 40));
     assert_eq!(bench.happened(HappeningKind::Rollback), 1);
 
     let mut watched = Bench::new(|rules| rules.rollback_ticks = 50);
     watched.ask(30, 0, false);
     watched.run(80);
-    watched.promise_held = false;
+    watched.bound_held = false;
     watched.run(5);
     assert_eq!((watched.authority.active().0, watched.outcome().0), (2, Some(ReplyKind::Done)));
 }
@@ -291,7 +294,7 @@ fn a_new_controller_that_is_late_once_is_stood_in_for_and_stays() {
     bench.run(40);
     bench.answers[1] = false;
     bench.run(1);
-    assert_eq!((bench.acted, bench.authority.counters.missed), (Some((1, 10.0)), 0));
+    assert_eq!((bench.acted, bench.authority.journal.counters.missed), (Some((1, 10.0)), 0));
     assert_eq!(bench.happened(HappeningKind::StoodIn), 1);
     bench.answers[1] = true;
     bench.run(1);
@@ -300,14 +303,14 @@ fn a_new_controller_that_is_late_once_is_stood_in_for_and_stays() {
 }
 
 #[test]
-fn a_new_controller_that_falls_silent_costs_no_tick_and_the_swap_is_taken_back() {
+fn a_new_controller_that_falls_silent_costs_no_tick_and_the_swap_is_rolled_back() {
     let mut bench = Bench::new(|rules| (rules.rollback_misses, rules.rollback_window) = (3, 10));
     bench.ask(30, 0, false);
     bench.run(40);
     bench.answers[1] = false;
     for _ in 0..4 {
         bench.run(1);
-        assert_eq!((bench.acted, bench.authority.counters.missed), (Some((1, 10.0)), 0));
+        assert_eq!((bench.acted, bench.authority.journal.counters.missed), (Some((1, 10.0)), 0));
     }
     assert_eq!(bench.outcome(), (Some(ReplyKind::RolledBack), Some(Refusal::Deadlines), 43));
     assert_eq!(bench.authority.active().0, 1);
@@ -320,7 +323,7 @@ fn a_new_controller_that_talks_nonsense_is_fenced_at_once() {
     bench.run(40);
     bench.tau[1] = f64::NAN;
     bench.run(1);
-    assert_eq!((bench.acted, bench.authority.counters.failovers), (Some((1, 10.0)), 1));
+    assert_eq!((bench.acted, bench.authority.journal.counters.failovers), (Some((1, 10.0)), 1));
     assert_eq!(bench.outcome(), (Some(ReplyKind::RolledBack), Some(Refusal::Deadlines), 40));
 }
 
@@ -332,7 +335,7 @@ fn too_many_misses_among_the_last_ticks_roll_back_when_the_old_one_is_fit_again(
     // Both are silent: nobody can take over within the tick, and there is nobody to go back to.
     bench.answers = [false; 2];
     bench.run(5);
-    assert_eq!((bench.authority.active().0, bench.authority.counters.missed), (2, 5));
+    assert_eq!((bench.authority.active().0, bench.authority.journal.counters.missed), (2, 5));
     bench.answers = [true; 2];
     bench.run(2);
     assert_eq!(bench.outcome().1, Some(Refusal::Deadlines));
