@@ -14,7 +14,7 @@ use loopbound_shared::role::RoleError;
 pub enum Exit {
     /// Everything held.
     Held = Headline::Held.exit_code(),
-    /// An expectation failed, the bound was violated other than by latency, or the loop diverged.
+    /// An expectation failed, the bound was violated other than by the age of the torque, or the loop diverged.
     Failed = Headline::Failed.exit_code(),
     /// The command line or the scenario is wrong; nothing was started.
     Usage = Headline::Usage.exit_code(),

@@ -384,7 +384,7 @@ fn one_thing_has_one_word_in_the_documents() {
 
 /// The labels of the screen of a run, as the code writes them.
 fn labels_of_the_screen() -> Vec<String> {
-    let code = read(&root().join("monitor/src/render.rs"));
+    let code = ["render.rs", "render/bound.rs"].map(|file| read(&root().join("monitor/src").join(file))).concat();
     let literals = |before: &'static str| {
         let after = code.match_indices(before).map(|(at, found)| &code[at + found.len()..]).collect::<Vec<_>>();
         after.into_iter().filter_map(|rest| rest.split_once('"').map(|(label, _)| label.to_owned())).collect::<Vec<_>>()

@@ -10,6 +10,7 @@
 //! | [`account`] | what `loopbound swap` is answered of such a change |
 //! | [`event`] | what is noted besides figures |
 //! | [`summary`], [`verdict`], [`mod@render`] | the keys of `summary.json`, what they come to, one screen of text |
+//! | [`counted`] | counts with their words |
 //! | [`chart`] | pictures, as SVG and PNG |
 //! | [`folder`] | whose a folder of results is, and whether it is all there |
 //! | [`files`], `traces`, [`plot`] | the files of a run, written by a thread of their own; percentile plots |
@@ -25,6 +26,7 @@
 pub mod account;
 pub mod cause;
 pub mod chart;
+pub mod counted;
 pub mod divergence;
 pub mod event;
 pub mod files;

@@ -1,14 +1,15 @@
 //! The figures of a run as one screen of text.
 
+mod bound;
+
 use std::fmt::Write as _;
 
-use loopbound_model::bound::stability::SamplingRule;
-use loopbound_model::law::LawKind;
 use loopbound_shared::event::MessageKind;
 
 use crate::cause::words_of;
+use crate::counted::counted;
 use crate::hops::Hop;
-use crate::summary::{BoundSummary, LawSummary, Quantiles, Summary};
+use crate::summary::{Quantiles, Summary};
 
 /// The report, at most `width` (at least 60, at most 100) columns wide; `colour` only on a terminal.
 #[must_use]
@@ -18,7 +19,7 @@ pub fn render(summary: &Summary, width: usize, colour: bool) -> String {
     latencies(&mut screen, summary);
     ticks(&mut screen, summary);
     control(&mut screen, summary);
-    bound(&mut screen, summary);
+    bound::lines(&mut screen, summary);
     swaps(&mut screen, summary);
     privileges(&mut screen, summary);
     recording(&mut screen, summary);
@@ -123,7 +124,8 @@ fn latencies(screen: &mut Screen, summary: &Summary) {
         screen.entry("wake-up jitter", &text);
     }
     if summary.start_up_ticks > 0 {
-        screen.entry("", &format!("{} ticks of start-up are left out", summary.start_up_ticks));
+        let verb = if summary.start_up_ticks == 1 { "is" } else { "are" };
+        screen.entry("", &format!("{} of start-up {verb} left out", counted(summary.start_up_ticks, "tick")));
     }
     screen.line("");
 }
@@ -163,9 +165,7 @@ fn ticks(screen: &mut Screen, summary: &Summary) {
 fn strangers(screen: &mut Screen, summary: &Summary) {
     let said = |kind: &MessageKind| {
         let count = summary.strangers.get(kind.name()).copied().filter(|count| *count > 0)?;
-        let one = kind.words();
-        let many = if *kind == MessageKind::Reply { "replies".to_owned() } else { format!("{one}s") };
-        Some(format!("{count} {}", if count == 1 { one.to_owned() } else { many }))
+        Some(counted(count, kind.words()))
     };
     let all: Vec<String> = MessageKind::ALL.iter().filter_map(said).collect();
     if !all.is_empty() {
@@ -181,120 +181,17 @@ fn control(screen: &mut Screen, summary: &Summary) {
     } else {
         format!(
             "max |e_i| {} rad (one link), max ‖e‖ {} rad (all links), rms e_i {} rad; max |ė_i| {} rad/s, max ‖ė‖ {} rad/s, \
-             rms ė_i {} rad/s ({} ticks, settled)",
+             rms ė_i {} rad/s ({}, settled)",
             number(tracking.max_abs_e_rad),
             number(tracking.max_norm_e_rad),
             number(tracking.rms_e_rad),
             number(tracking.max_abs_ed_rad_s),
             number(tracking.max_norm_ed_rad_s),
             number(tracking.rms_ed_rad_s),
-            tracking.n
+            counted(tracking.n, "tick")
         )
     };
     screen.entry("tracking error", &text);
-}
-
-fn bound(screen: &mut Screen, summary: &Summary) {
-    let bound = &summary.bound;
-    // Figures of two laws are never mixed: each has its own V.
-    if bound.laws.len() > 1 {
-        for of in &bound.laws {
-            screen.entry("law", &turn(of));
-            of_one_law(screen, &of.bound);
-        }
-    } else {
-        of_one_law(screen, bound);
-    }
-    let text = match bound.budget_used {
-        Some(used) if bound.budget_rule.as_deref() == Some(SamplingRule::JitteringDelay.name()) => format!(
-            "{:.1} % of what sampling allows is used by the period of {} and a latency that jumps between {} (least) and {} \
-             (p99.9), margin {}; by the rule for jitter [14], which is necessary, not sufficient",
-            used * 100.0,
-            time(summary.rate_hz.map(|rate_hz| 1e9 / rate_hz)),
-            time(bound.loop_latency_min_ns),
-            time(bound.loop_latency_ns),
-            time(bound.delay_margin_ns)
-        ),
-        Some(used) => format!(
-            "{:.1} % of what sampling allows is used by the period of {} and a latency of {} (p99.9), margin {}",
-            used * 100.0,
-            time(summary.rate_hz.map(|rate_hz| 1e9 / rate_hz)),
-            time(bound.loop_latency_ns),
-            time(bound.delay_margin_ns)
-        ),
-        None => "not known for this law".to_owned(),
-    };
-    screen.entry("latency budget", &text);
-}
-
-/// Who had a law, and when.
-fn turn(of: &LawSummary) -> String {
-    let ids: Vec<String> = of.controllers.iter().map(u32::to_string).collect();
-    let who = if ids.len() == 1 { "controller" } else { "controllers" };
-    let span = of.first_tick.zip(of.last_tick);
-    let span = span.map_or_else(String::new, |(first, last)| format!(", between ticks {first} and {last}"));
-    format!("{}, {who} {}: in charge of {} ticks{span}", of.bound.whose(), ids.join(", "), of.ticks)
-}
-
-fn of_one_law(screen: &mut Screen, bound: &BoundSummary) {
-    let units = bound.units();
-    let v = |value: Option<f64>| with_unit(value, units.map(|units| units.v));
-    let text = format!(
-        "{} at first, max {}, {} at the end; certified level c = {}",
-        v(bound.v_start),
-        v(bound.v_max),
-        v(bound.v_final),
-        v(bound.level)
-    );
-    screen.entry("V", &text);
-    for outside in bound.outside.iter().filter(|_| bound.certified) {
-        screen.entry("not declared", outside);
-    }
-    if bound.checked == 0 {
-        screen
-            .entry("bound", if bound.certified { "certified, no tick checked" } else { "not certified: not checked" });
-    } else {
-        let text = format!(
-            "{} of {} ticks violated{}; {} promises broken; slack min {}, mean {}",
-            bound.violations,
-            bound.checked,
-            violations(bound),
-            bound.violations_promise,
-            v(bound.slack_min),
-            v(bound.slack_mean)
-        );
-        screen.entry("bound", &text);
-        let text = format!(
-            "Ψ max {} of {} = {}; ‖W‖ settled {} of {}; proven in the long run: ‖e‖ ≤ {} rad, and so each |e_i| ≤ {} rad",
-            number(bound.psi_max),
-            if bound.law.as_deref() == Some(LawKind::Ctc.name()) { "η0" } else { "C1" },
-            with_unit(bound.c1, units.map(|units| units.psi)),
-            number(bound.w_norm_max_settled),
-            number(bound.uub_radius),
-            number(bound.ultimate_bound),
-            number(bound.ultimate_bound_link.or(bound.ultimate_bound))
-        );
-        screen.entry("assumptions", &text);
-    }
-}
-
-/// What explains the ticks that broke the bound, in the order in which the diagnosis asks.
-fn violations(bound: &BoundSummary) -> String {
-    let explained = [
-        ("designed_hold", "by the designed hold"),
-        ("latency", "by latency"),
-        ("fallback", "under the plant's fallback"),
-    ];
-    let mut list: Vec<String> = explained
-        .into_iter()
-        .map(|(name, words)| (bound.verdicts(name), words))
-        .filter(|(count, _)| *count > 0)
-        .map(|(count, words)| format!("{count} {words}"))
-        .collect();
-    if bound.violations > 0 {
-        list.push(format!("{} otherwise", bound.violations_delay_aware));
-    }
-    if list.is_empty() { String::new() } else { format!(": {}", list.join(", ")) }
 }
 
 fn swaps(screen: &mut Screen, summary: &Summary) {
@@ -314,7 +211,7 @@ fn swaps(screen: &mut Screen, summary: &Summary) {
         );
         if swap.blended_ticks > 0 {
             let difference = number(swap.torque_difference_nm);
-            let _ = write!(text, "; {difference} N·m faded over {} ticks", swap.blended_ticks);
+            let _ = write!(text, "; {difference} N·m faded over {}", counted(swap.blended_ticks, "tick"));
         }
         screen.entry(std::mem::take(&mut label), &text);
     }
@@ -418,109 +315,4 @@ fn number(value: Option<f64>) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::summary::MissingPrivilege;
-
-    fn full() -> Summary {
-        let mut summary =
-            Summary { links: 3, rate_hz: Some(1000.0), mode: "realtime".to_owned(), ..Summary::default() };
-        summary.verdict.status = "held".to_owned();
-        summary.ticks = 10_000;
-        summary.latency_ns.round_trip =
-            Quantiles { n: 9900, p50: Some(8_400.0), p99: Some(21_000.0), max: Some(1.5e6), ..Quantiles::default() };
-        summary.late_ticks_by_cause.insert("run_queue_delay".to_owned(), 7);
-        summary.processes = vec![crate::summary::ProcessSummary {
-            role: "plant".to_owned(),
-            missing: vec![MissingPrivilege {
-                step: "sched_fifo".to_owned(),
-                cost: "other processes can preempt the loop".to_owned(),
-                remedy: "`sudo prlimit --rtprio=99 --pid $$`, or run as root, or find an administrator who does so"
-                    .to_owned(),
-            }],
-            ..crate::summary::ProcessSummary::default()
-        }];
-        summary
-    }
-
-    #[test]
-    fn the_screen_begins_with_the_verdict_and_no_line_is_wider_than_asked() {
-        for width in [0, 60, 80, 100, 4000] {
-            let text = render(&full(), width, false);
-            assert!(text.starts_with("HELD: "), "{text}");
-            assert!(text.lines().all(|line| line.chars().count() <= width.clamp(60, 100)), "{text}");
-            assert!(!text.contains('\x1b'));
-        }
-        assert!(render(&full(), 100, true).starts_with("\x1b[1;32mHELD"));
-    }
-
-    #[test]
-    fn strangers_have_a_line_where_there_were_any() {
-        let mut summary = full();
-        summary.strangers = MessageKind::ALL.iter().map(|kind| (kind.name().to_owned(), 0)).collect();
-        assert!(!render(&summary, 100, false).contains("strangers"));
-        summary.strangers.insert("setpoint".to_owned(), 12);
-        summary.strangers.insert("tick_record".to_owned(), 1);
-        let text = render(&summary, 100, false);
-        assert!(text.contains("strangers         12 setpoints, 1 tick record: refused"), "{text}");
-    }
-
-    #[test]
-    fn a_run_under_two_laws_shows_the_figures_of_each_with_its_ticks() {
-        let mut summary = full();
-        let of = |law: &str, controller: u32, c1: f64| LawSummary {
-            controllers: vec![controller],
-            ticks: 500,
-            first_tick: Some(1),
-            last_tick: Some(500),
-            bound: BoundSummary {
-                law: Some(law.to_owned()),
-                checked: 500,
-                c1: Some(c1),
-                v_max: Some(2.0),
-                ultimate_bound: Some(0.25),
-                ultimate_bound_link: Some(0.125),
-                ..BoundSummary::default()
-            },
-        };
-        summary.bound =
-            BoundSummary { laws: vec![of("robust", 1, 40.0), of("ctc", 2, 7.5)], ..of("ctc", 2, 7.5).bound };
-        let text = render(&summary, 100, false);
-        let one_line = text.split_whitespace().collect::<Vec<_>>().join(" ");
-        // V of `ctc` is no energy.
-        for part in [
-            "robust, controller 1: in charge of 500 ticks",
-            "C1 = 40.0000 N·m;",
-            "max 2.0000 J,",
-            "ctc, controller 2",
-            "η0 = 7.5000 rad/s²;",
-            "max 2.0000 rad²/s²,",
-        ] {
-            assert_eq!(one_line.matches(part).count(), 1, "{part}: {text}");
-        }
-        let proven = "‖e‖ ≤ 0.2500 rad, and so each |e_i| ≤ 0.1250 rad";
-        assert_eq!(one_line.matches(proven).count(), 2, "{text}");
-    }
-
-    #[test]
-    fn a_controller_of_ones_own_is_shown_by_its_name() {
-        let mut summary = full();
-        assert!(render(&summary, 100, false).contains("HELD: no announced law"));
-        summary.bound.name = Some("my pd".to_owned());
-        assert!(render(&summary, 100, false).contains("HELD: my pd (announced no law), n = 3"));
-        summary.bound.law = Some("pd+g".to_owned());
-        assert!(render(&summary, 100, false).contains("HELD: pd+g (my pd), n = 3"));
-        summary.bound.name = summary.bound.law.clone();
-        assert!(render(&summary, 100, false).contains("HELD: pd+g, n = 3"));
-    }
-
-    #[test]
-    fn figures_appear_in_the_units_that_suit_them_and_absent_ones_as_a_dash() {
-        let text = render(&full(), 100, false);
-        let row = text.lines().find(|line| line.trim_start().starts_with("round trip")).unwrap();
-        let cells: Vec<&str> = row.split("  ").map(str::trim).filter(|cell| !cell.is_empty()).collect();
-        assert_eq!(cells, ["round trip", "8.40 µs", "21.00 µs", "–", "1.50 ms", "9900"]);
-        assert!(text.contains("7 run-queue delay") && text.contains("1 kHz"), "{text}");
-        assert!(text.contains("no sched_fifo: other processes can preempt the loop"), "{text}");
-    }
-}
+mod tests;

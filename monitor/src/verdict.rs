@@ -22,6 +22,7 @@ use loopbound_shared::headline::Headline;
 use serde::{Deserialize, Serialize};
 
 use crate::cause::words_of;
+use crate::counted::counted;
 use crate::summary::{Summary, SwapSummary, Verdict};
 
 /// The verdict so far, which the launcher's monitor leaves in the group's folder for the supervisor.
@@ -90,20 +91,27 @@ fn findings(summary: &Summary) -> Vec<(Headline, String)> {
     find(
         bound.violations_delay_aware > 0,
         Headline::Violated,
-        format!("{} ticks broke the bound for another reason than latency", bound.violations_delay_aware),
+        format!(
+            "{} broke the bound, and neither the age of the torque nor the plant's own fallback explains it",
+            counted(bound.violations_delay_aware, "tick")
+        ),
     );
     for swap in summary.swaps.iter().filter(|swap| swap.scheduled && swap.result != "done") {
         find(!failed_over_to(summary, swap), Headline::SwapRefused, unlike_scheduled(swap));
     }
-    let by_latency = bound.verdicts("latency");
-    let reason = format!("{by_latency} ticks broke the bound, and latency suffices as the cause");
-    find(by_latency > 0, Headline::Late, reason);
-    let braked = bound.verdicts("fallback");
+    let by_age = bound.verdicts("latency");
+    let reason =
+        format!("{} broke the bound, and the age of the torque suffices as the cause", counted(by_age, "tick"));
+    find(by_age > 0, Headline::Late, reason);
+    let by_fallback = bound.verdicts("fallback");
     let why = words_of(&bound.fallback_by_cause);
     find(
-        braked > 0,
+        by_fallback > 0,
         Headline::Late,
-        format!("{braked} ticks broke the bound under the plant's own fallback, as no torque came: {why}"),
+        format!(
+            "{} broke the bound under the plant's own fallback, as no torque came: {why}",
+            counted(by_fallback, "tick")
+        ),
     );
     let used_up = bound.budget_used.is_some_and(|used| used >= 1.0);
     let rule = bound.budget_rule.as_deref().unwrap_or("constant delay");

@@ -23,7 +23,7 @@ pub enum Headline {
     Incomplete,
     /// An expectation does not hold.
     Failed,
-    /// The certified bound was broken other than by latency.
+    /// The certified bound was broken other than by the age of the torque.
     Violated,
     /// A swap was refused or rolled back, or a fault was refused.
     SwapRefused,
@@ -92,7 +92,9 @@ impl Headline {
                 "the run ended before its last tick without anybody having asked for it, or its records do",
             ),
             Self::Failed => ("failed", 1, "an expectation does not hold"),
-            Self::Violated => ("violated", 1, "the certified bound on V was broken, and latency does not explain it"),
+            Self::Violated => {
+                ("violated", 1, "the certified bound on V was broken, and the age of the torque does not explain it")
+            }
             Self::SwapRefused => {
                 ("swap refused", 4, "a swap was refused or rolled back, or an injected fault was refused")
             }
@@ -101,7 +103,9 @@ impl Headline {
             Self::NotChecked => {
                 ("not checked", 3, "the law is certified, and no tick could be checked against its bound")
             }
-            Self::Late => ("late", 0, "latency broke the certified bound on V, or used up the latency budget"),
+            Self::Late => {
+                ("late", 0, "the age of the torque broke the certified bound on V, or latency used up its budget")
+            }
             Self::NotCertified => {
                 ("not certified", 0, "nothing is certified for this law with these gains and this start")
             }

@@ -5,6 +5,7 @@ use loopbound_shared::sample::Happening;
 use serde_json::Value;
 
 use super::{fault, refusal};
+use crate::counted::counted;
 
 /// A happening in words, without its kind and tick.
 #[must_use]
@@ -17,14 +18,16 @@ pub fn words(happening: &Happening) -> String {
         Some(HappeningKind::Failover) => {
             format!("controller {subject} took over from {detail}, whose torque was not there or no good")
         }
-        Some(HappeningKind::Rollback) => format!("controller {subject} is in charge again: {}", refusal(detail)),
+        Some(HappeningKind::Rollback) => format!("controller {subject} is active again: {}", refusal(detail)),
         Some(HappeningKind::SwapRefused) => format!("to controller {subject}: {}{}", refusal(detail), found(value)),
         Some(HappeningKind::FirstTorque) => format!("of controller {subject}"),
         Some(HappeningKind::Fallback) => fallback(subject, detail),
         Some(HappeningKind::Joined) => format!("a port was mapped in {:.1} µs", detail as f64 * 1e-3),
         Some(HappeningKind::MemberAdded | HappeningKind::MemberRemoved) => format!("controller {subject}"),
         Some(HappeningKind::FaultInjected) => {
-            format!("{} into controller {subject}, for {value:.0} ticks", fault(detail))
+            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a count of ticks; saturates")]
+            let ticks = value as u64;
+            format!("{} into controller {subject}, for {}", fault(detail), counted(ticks, "tick"))
         }
         Some(HappeningKind::Diverged) => diverged(subject, detail, value),
         Some(HappeningKind::StoodIn) => format!("controller {subject} for {detail}"),
@@ -48,11 +51,12 @@ fn diverged(joint: u32, kind: u64, value: f64) -> String {
 }
 
 fn fallback(rung: u32, ticks: u64) -> String {
+    let ticks = counted(ticks, "tick");
     match Decision::from_code(rung) {
-        Some(Decision::Damped) => format!("the plant damps by itself, after {ticks} ticks without a torque"),
-        Some(Decision::Stopped) => format!("the plant has stopped by itself, after {ticks} ticks without a torque"),
-        Some(Decision::Held) => format!("the last torque is held, after {ticks} ticks without one"),
-        _ => format!("a controller answers again, after {ticks} ticks without a torque"),
+        Some(Decision::Damped) => format!("the plant damps by itself, after {ticks} without a torque"),
+        Some(Decision::Stopped) => format!("the plant has stopped by itself, after {ticks} without a torque"),
+        Some(Decision::Held) => format!("the last torque is held, after {ticks} without one"),
+        _ => format!("a controller answers again, after {ticks} without a torque"),
     }
 }
 
@@ -84,6 +88,8 @@ mod tests {
         }
         let damped = Happening { kind: 6, subject: Decision::Damped.code(), detail: 3, value: 0.0 };
         assert_eq!(words(&damped), "the plant damps by itself, after 3 ticks without a torque");
+        let held = Happening { subject: Decision::Held.code(), detail: 1, ..damped };
+        assert_eq!(words(&held), "the last torque is held, after 1 tick without one");
         let refused = Happening { kind: 4, subject: 2, detail: u64::from(Refusal::TorqueStep.code()), value: 7.5 };
         assert_eq!(words(&refused), "to controller 2: the torque would step by more than allowed (7.5000)");
     }

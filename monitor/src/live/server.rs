@@ -16,6 +16,7 @@ use loopbound_shared::spawn;
 use super::relay::{Relay, hidden_address, hidden_host};
 use super::stretch::Stretches;
 use super::{Address, LiveError, Origin};
+use crate::counted::counted;
 use crate::event::{Event, EventKind};
 use crate::recording::About;
 use crate::recording::channels::Channel;
@@ -139,7 +140,10 @@ impl Live {
         let more = lost.records > lost.told && now_ns >= lost.due_ns;
         if more || (somebody_new && lost.records > 0) {
             (lost.told, lost.due_ns) = (lost.records, now_ns + STATUS_NS);
-            let text = format!("{} records did not reach this view: the monitor could not keep up", lost.records);
+            let text = {
+                let records = counted(lost.records, "record");
+                format!("{records} did not reach this view: the monitor could not keep up")
+            };
             self.server.publish_status(Status::warning(text).with_id("lost"));
         }
     }

@@ -6,7 +6,7 @@ const HOPS = ['wakeup', 'state_to_controller', 'compute', 'controller_to_plant',
 const CAUSES = { run_queue_delay: 1, involuntary_switch: 4, page_fault: 3, timer_or_host: 0, own_overrun: 6, controller_late: 2,
   controller_silent: 3, controller_dead: 3, injected_fault: 5, setpoint_stale: 4, monitor_joined: 7, unknown: 7 };
 const WHY = {
-  latency: 'late torques account for it (∫L)',
+  latency: 'the age of the torque accounts for it (∫L)',
   designed_hold: 'the hold of the sampling accounts for it, by design (∫L)',
   fallback: 'no torque came, and the plant damped by itself (∫F₀)',
   controller_fault: 'the torque was not the law\'s (∫F)',
@@ -27,6 +27,8 @@ function withUnit(x, unit) {
   const text = number(x, 3);
   return text === '–' || !unit ? text : `${text} ${esc(unit)}`;
 }
+// A certified bound of 0 says that the error vanishes, which no sampled loop does to the last digit.
+const vanishing = (of, x) => of.ultimate_bound === 0 ? '→ 0 in continuous time' : number(x);
 function duration(ns) {
   if (ns === null || ns === undefined) return '–';
   if (ns >= 1e9) return `${number(ns / 1e9, 3)} s`;
@@ -222,10 +224,10 @@ const SAID = {
   'first seen': () => 'the first record that the monitor got',
   late: e => `${e.deadline_to_torque_ns ? `the torque came ${duration(e.deadline_to_torque_ns)} after the deadline` : 'no torque came'}: ${plain(e.cause)}`,
   missed: e => `${e.ticks === 1 ? 'no torque in time' : `${e.ticks} ticks without a torque in time`}${e.decision ? `, ${plain(e.decision)}` : ''}: ${plain(e.cause)}`,
-  gap: e => `${e.ticks} records did not reach the monitor`,
+  gap: e => `${e.ticks === 1 ? '1 record' : `${e.ticks} records`} did not reach the monitor`,
   rejected: e => `a torque of controller ${e.controller} was not applied: ${plain(e.reason)}`,
   bound: e => `the bound was broken: ${WHY[e.verdict] ?? plain(e.verdict)}`,
-  promise: e => `V = ${number(e.v)} where ${number(e.v_bound)} was promised`,
+  promise: e => `V = ${number(e.v)} is above its certified bound ${number(e.v_bound)}`,
   level: e => `V = ${number(e.v)} is ${e.inside ? 'within the level again' : 'above the level'}, c = ${number(e.level)}`,
 };
 function describe(event) {
@@ -256,11 +258,11 @@ function head(run, at) {
     ['late', number(s.late_ticks, 9), s.late_ticks ? 'warn' : ''], [s.latency_is_virtual ? 'round trip p50 (virtual)' : 'round trip p50', duration(trip.p50)],
     ['round trip p99', duration(trip.p99)], ['round trip p99.9', duration(trip.p99_9)], ['longest round trip', duration(trip.max)],
     ['largest |e<sub>i</sub>| of one link, settled', withUnit(s.tracking?.max_abs_e_rad, 'rad')], ['largest ‖e‖ of all links, settled', withUnit(s.tracking?.max_norm_e_rad, 'rad')],
-    ['bound violated, ticks', number(b.violations, 9), b.violations > (b.verdicts?.designed_hold ?? 0) ? 'bad' : ''], ['least slack of the promise', withUnit(b.slack_min, b.v_unit)],
+    ['bound violated, ticks', number(b.violations, 9), b.violations > (b.verdicts?.designed_hold ?? 0) ? 'bad' : ''], ['least slack of the certified bound', withUnit(b.slack_min, b.v_unit)],
     [`latency budget used${b.budget_rule ? `, by the rule for a ${esc(b.budget_rule)}` : ''}`, b.budget_used === null || b.budget_used === undefined ? '–' : `${number(100 * b.budget_used, 3)} %`, b.budget_used >= 1 ? 'warn' : ''],
   ];
   add(at, `<div class="tiles">${tiles.map(([name, value, mood = '']) => `<div class="tile ${mood}"><b>${value}</b><span>${name}</span></div>`).join('')}</div>`);
-  if (s.missed_ticks) add(at, `<p class="note">Round trips are those of the ${number(trip.n ?? 0, 9)} ticks that got a torque. A verdict counts each of the ${number(s.missed_ticks, 9)} missed ticks as longer than every limit, so its quantiles can be higher than these.</p>`);
+  if (s.missed_ticks) add(at, `<p class="note">Round trips are those of the ticks that got a torque (${number(trip.n ?? 0, 9)}). A verdict counts each missed tick (${number(s.missed_ticks, 9)}) as longer than every limit, so its quantiles can be higher than these.</p>`);
   const expected = s.verdict?.expectations ?? [];
   if (expected.length) add(at, table(['expected', 'outcome', 'found'], expected.map(e => [esc(e.expectation), esc(e.outcome), esc(e.reason)])));
 }
@@ -289,7 +291,7 @@ function bound(run, at) {
   const base = 4 * (run.summary.links ?? 0);
   const lines = [
     { name: 'c, the certified level', at: base + 2, colour: 'var(--bad)', dash: '8 4' },
-    { name: 'promised from the tick before', at: base + 1, colour: colour(1), dash: '4 3' },
+    { name: 'certified bound, from the tick before', at: base + 1, colour: colour(1), dash: '4 3' },
     { name: 'V', at: base, colour: colour(0) },
   ];
   const broken = run.events.filter(e => e.kind === 'bound' || e.kind === 'promise');
@@ -299,18 +301,18 @@ function bound(run, at) {
   add(at, legend(lines));
   at.append(overTime(run, { unit: `V${run.summary.bound?.v_unit ? ', ' + run.summary.bound.v_unit : ''} (log)`, lines, dots, marks: marksOf(run), yLog: true, height: 260 }));
   const laws = run.summary.bound?.laws ?? [];
-  if (laws.length) add(at, table(['law', 'controllers', 'ticks', 'V max', 'c', 'bound broken', 'Ψ max', 'C1 (ctc: η0)', '‖W‖ settled', '‖W‖ proven', '‖e‖ of all links proven, rad', '|e_i| of each link proven, rad'], laws.map(l =>
-    [esc(whose(l)), l.controllers.join(', '), String(l.ticks), withUnit(l.v_max, l.v_unit), withUnit(l.level, l.v_unit), `${l.violations} of ${l.checked}`, withUnit(l.psi_max, l.psi_unit), withUnit(l.c1, l.psi_unit), number(l.w_norm_max_settled), number(l.uub_radius), number(l.ultimate_bound), number(l.ultimate_bound_link ?? l.ultimate_bound)])));
+  if (laws.length) add(at, table(['law', 'controllers', 'ticks', 'V max', 'c', 'bound broken', 'Ψ max', 'C1 (ctc: η0)', '‖W‖ settled', '‖W‖ certified', '‖e‖ of all links certified, rad', '|e_i| of each link certified, rad'], laws.map(l =>
+    [esc(whose(l)), l.controllers.join(', '), String(l.ticks), withUnit(l.v_max, l.v_unit), withUnit(l.level, l.v_unit), `${l.violations} of ${l.checked}`, withUnit(l.psi_max, l.psi_unit), withUnit(l.c1, l.psi_unit), number(l.w_norm_max_settled), vanishing(l, l.uub_radius), vanishing(l, l.ultimate_bound), vanishing(l, l.ultimate_bound_link ?? l.ultimate_bound)])));
   if (broken.length) {
-    const rows = broken.slice(0, 200).map(e => [e.tick, number(e.t_s, 6), e.kind === 'bound' ? words(e.verdict) : 'promise (a)', e.kind === 'bound'
-      ? `X = ${number(e.x)}, ∫L = ${number(e.int_l)}, ∫F = ${number(e.int_f)}: ${esc(WHY[e.verdict] ?? '')}` : `V = ${number(e.v)} where ${number(e.v_bound)} was promised`]);
+    const rows = broken.slice(0, 200).map(e => [e.tick, number(e.t_s, 6), e.kind === 'bound' ? words(e.verdict) : 'certified bound on V', e.kind === 'bound'
+      ? `X = ${number(e.x)}, ∫L = ${number(e.int_l)}, ∫F = ${number(e.int_f)}: ${esc(WHY[e.verdict] ?? '')}` : `V = ${number(e.v)} is above its certified bound ${number(e.v_bound)}`]);
     add(at, table(['tick', 't, s', 'found', 'why'], rows));
   } else add(at, `<p class="note">${run.summary.bound?.certified ? 'V kept both bounds in every tick that was checked.' : 'Nothing is certified here: V is shown without bounds.'}</p>`);
 }
 function slack(run, at) {
   const b = run.summary.bound ?? {};
-  if (b.slack_min == null) { add(at, '<p class="note">Nothing was promised here.</p>'); return; }
-  const line = { name: 'promised V − V', at: 4 * (run.summary.links ?? 0) + 4, colour: colour(2) };
+  if (b.slack_min == null) { add(at, '<p class="note">Nothing is certified here.</p>'); return; }
+  const line = { name: 'certified bound − V', at: 4 * (run.summary.links ?? 0) + 4, colour: colour(2) };
   at.append(overTime(run, { unit: 'log', lines: [line], marks: marksOf(run), yLog: true, height: 160 }));
   const most = b.epsilon == null ? '' : `; ε h = ${withUnit(b.epsilon / run.summary.rate_hz, b.v_unit)} is what the worst uncertainty may add in a tick`;
   add(at, `<p class="note">Least ${withUnit(b.slack_min, b.v_unit)}, mean ${withUnit(b.slack_mean, b.v_unit)} a tick${most}.</p>`);
@@ -360,8 +362,8 @@ document.getElementById('whole').addEventListener('click', () => show(WHOLE[0], 
 section('Tracking', 'Angles of the links from the downward vertical; dashed: where they should be. Vertical dashes: swaps, failovers, faults.', tracking);
 section('Tracking error', '', errors);
 section('Torque', 'As it acted at the end of each tick.', torques);
-section('V against its bounds', 'A certified loop that starts below c stays below it, and V falls at least as fast as promised, tick by tick. Red dots: a bound was broken.', bound);
-section('Slack of the promise', 'How far below its promise V stayed in each tick: how conservative the bound is.', slack);
+section('V against its bounds', 'A certified loop that starts below c stays below it, and V falls at least as fast as certified, tick by tick. Red dots: a bound was broken.', bound);
+section('Slack of the certified bound', 'How far below its certified bound V stayed in each tick: how conservative the bound is.', slack);
 section('Latency, by hop', 'Log axes: each step to the right is one more nine.', latency);
 section('Round trip over the run', '', trips);
 section('Late and missed ticks, by cause', 'Height: from the deadline to the torque, or how long the delay was. Causes come from evidence, never from guesses.', late);

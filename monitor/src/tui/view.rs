@@ -10,6 +10,7 @@ use ratatui::widgets::canvas::{Canvas, Circle, Line as Stroke};
 use ratatui::widgets::{Axis, Block, Cell, Chart, Clear, Dataset, GraphType, List, ListItem, Paragraph, Row, Table};
 
 use super::model::{FAULTS, Model, STRIP_S};
+use crate::counted::counted;
 use crate::event::words::words;
 use crate::event::{Event, EventKind, cause_of, fault};
 use crate::hops::Hop;
@@ -46,7 +47,7 @@ pub fn draw<const N: usize>(frame: &mut Frame, model: &Model<N>) {
 fn menu(frame: &mut Frame, area: Rect) {
     let lines: Vec<Line> =
         FAULTS.iter().zip(1..).map(|((_, words), digit)| Line::from(format!(" {digit}  {words} "))).collect();
-    let title = " a fault of the controller in charge: digit, or Esc ";
+    let title = " a fault for the active controller: digit, or Esc ";
     let width = u16::try_from(title.len() + 2).unwrap_or(u16::MAX);
     let height = u16::try_from(lines.len() + 2).unwrap_or(u16::MAX);
     let place = area.centered(Constraint::Length(width), Constraint::Length(height));
@@ -62,7 +63,7 @@ fn header<const N: usize>(frame: &mut Frame, area: Rect, model: &Model<N>) {
     let bold = Style::default().add_modifier(Modifier::BOLD);
     let mut spans = vec![
         Span::styled(format!(" controller {active} ({}) ", model.name(active)), bold.fg(CHAIN)),
-        format!("in charge, epoch {epoch}").into(),
+        format!("active, epoch {epoch}").into(),
     ];
     let standbys: Vec<String> = model.standbys().iter().map(|id| format!("{id} ({})", model.name(*id))).collect();
     spans.push(if standbys.is_empty() {
@@ -123,7 +124,7 @@ fn strip<const N: usize>(frame: &mut Frame, area: Rect, model: &Model<N>) {
     };
     let datasets = vec![
         line("c, certified", Color::Red, &level),
-        line("promised", Color::Yellow, &promised),
+        line("certified bound", Color::Yellow, &promised),
         line("V", CHAIN, &v),
     ];
     let middle = (low + high) / 2.0;
@@ -183,7 +184,7 @@ fn describe(event: &Event) -> String {
     let cause = cause_of(event).map_or_else(String::new, |cause| format!(": {}", cause.name().replace('_', " ")));
     let what = match &event.kind {
         EventKind::Missed { ticks, .. } if *ticks > 1 => format!(", {ticks} ticks"),
-        EventKind::Gap { ticks } => format!(", {ticks} records"),
+        EventKind::Gap { ticks } => format!(", {}", counted(*ticks, "record")),
         EventKind::Late { deadline_to_torque_ns, .. } => format!(", {:.0} µs", *deadline_to_torque_ns as f64 * 1e-3),
         // A list is narrow: the shorter form, and of the others their beginning.
         EventKind::Happening(happening) if happening.kind == HappeningKind::FaultInjected.code() => {
@@ -229,8 +230,7 @@ mod tests {
         model.tracker.finish();
         model.feed(&plant.next());
         let screen = screen(&model);
-        for shown in
-            ["controller 1 (robust) in charge", "round trip", "8.0", "V and its bounds", "first seen", "tick 400"]
+        for shown in ["controller 1 (robust) active", "round trip", "8.0", "V and its bounds", "first seen", "tick 400"]
         {
             assert!(screen.contains(shown), "{shown}:\n{screen}");
         }

@@ -16,6 +16,7 @@ use serde_json::Value;
 use super::blocks::{Blocks, LAST_BUCKET, NEVER_NS};
 use super::limits::{Limits, are_enough, estimate, limits};
 use crate::cause::Cause;
+use crate::counted::counted;
 use crate::hops::Hop;
 use crate::summary::{Finding, Judgement, Summary, Verdict, counters_by_name};
 
@@ -56,7 +57,7 @@ pub fn validate(section: &ExpectSection) -> Result<(), String> {
             let hint = near.map(|near| format!(", did you mean `{near}`?")).unwrap_or_default();
             return Err(format!("`{expectation}`: the summary has no key `{}`{hint}", quote::text(key)));
         }
-        counted(key).map_err(|why| format!("`{expectation}`: {why}"))?;
+        known_entry(key).map_err(|why| format!("`{expectation}`: {why}"))?;
         match &expectation.budget {
             Budget::Floor(_) if floor_key(key).is_none_or(|floor| lookup(&value, &floor).is_none()) => {
                 return Err(format!("`{expectation}`: the floor has no `{}`", key.rsplit('.').next().unwrap_or(key)));
@@ -77,7 +78,7 @@ pub fn validate(section: &ExpectSection) -> Result<(), String> {
 }
 
 /// Refuses an entry that a table can never have: what never occurs would count as zero.
-fn counted(key: &str) -> Result<(), String> {
+fn known_entry(key: &str) -> Result<(), String> {
     let Some((table, entry)) = key.split_once('.') else { return Ok(()) };
     let known: Vec<String> = match table {
         "late_ticks_by_cause" | "missed_ticks_by_cause" => Cause::ALL.iter().map(|c| c.name().to_owned()).collect(),
@@ -168,7 +169,7 @@ fn by_limits(expectation: &Expectation, (hop, quantile): (Hop, f64), blocks: &Bl
     let mut reason = format!("{expectation}: measured {} in [{}, {}]", time(measured), time(lower), time(upper));
     let absent = absent(hop, blocks);
     if absent > 0 {
-        reason = format!("{reason}, with {absent} ticks without a torque above every budget");
+        reason = format!("{reason}, with {} without a torque above every budget", counted(absent, "tick"));
     }
     if relative {
         reason = format!("{reason}, budget {} in [{}, {}]", time(budget), time(low), time(high));
@@ -197,7 +198,7 @@ fn with_absent(key: &str, found: Option<Value>, which: Option<(Hop, f64)>, block
     let (first, figure) = bare.split_once('.').unwrap_or((bare, ""));
     let hop = Hop::ALL.into_iter().find(|hop| hop.name() == first);
     let absent = absent(hop.unwrap_or(Hop::DeadlineToTorque), blocks);
-    let said = format!(", and {absent} ticks had no torque");
+    let said = format!(", and {} had no torque", counted(absent, "tick"));
     match (hop, figure) {
         (None, "") if key == "late_ticks" && absent > 0 => {
             let all = found.as_ref().and_then(Value::as_u64).map(|late| Value::from(late.saturating_add(absent)));
@@ -208,7 +209,7 @@ fn with_absent(key: &str, found: Option<Value>, which: Option<(Hop, f64)>, block
             let Some((_, quantile)) = which else { return (found, String::new()) };
             let samples: u64 = blocks.of(hop).flatten().map(|(_, n)| u64::from(*n)).sum();
             if samples > 0 && !are_enough(samples, quantile) {
-                return (None, format!(" of {samples} samples, too few for this quantile"));
+                return (None, format!(" of {}, too few for this quantile", counted(samples, "sample")));
             }
             if absent == 0 {
                 return (found, String::new());
@@ -222,8 +223,8 @@ fn with_absent(key: &str, found: Option<Value>, which: Option<(Hop, f64)>, block
 fn directly(expectation: &Expectation, summary: &Value, which: Option<(Hop, f64)>, blocks: &Blocks) -> Judgement {
     let key = expectation.key.as_str();
     let (found, said) = with_absent(key, lookup(summary, key).cloned(), which, blocks);
-    let counted = COUNTED.contains(&key.split('.').next().unwrap_or(key));
-    let found = found.or_else(|| counted.then(|| Value::from(0)));
+    let of_counts = COUNTED.contains(&key.split('.').next().unwrap_or(key));
+    let found = found.or_else(|| of_counts.then(|| Value::from(0)));
     let measured = found.as_ref().and_then(Value::as_f64);
     let budget = match &expectation.budget {
         Budget::Number(value) => Some(*value),
