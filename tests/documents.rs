@@ -11,6 +11,9 @@ use std::path::{Path, PathBuf};
 
 use clap::{CommandFactory as _, Parser as _};
 use loopbound::args::Cli;
+use loopbound_monitor::cause::Cause;
+use loopbound_monitor::hops::Hop;
+use loopbound_shared::counters::Counters;
 use loopbound_shared::headline::Headline;
 
 const CRATES: [&str; 8] =
@@ -96,25 +99,56 @@ fn the_code_map_lists_every_file_with_its_own_first_sentence() {
     }
 }
 
+/// The table between the marks of this name is this one, or becomes it.
+#[track_caller]
+fn hold_table(document: &str, mark: &str, table: &str) {
+    let file = root().join(document);
+    let written = read(&file);
+    let (begin, end) = (format!("<!-- {mark} -->\n"), format!("<!-- end of {mark} -->"));
+    let from = written.find(&begin).expect("the table begins") + begin.len();
+    let to = from + written[from..].find(&end).expect("the table ends");
+    let mut right = written.clone();
+    right.replace_range(from..to, table);
+    if std::env::var_os("UPDATE_DOCUMENTS").is_some() {
+        std::fs::write(&file, &right).expect("it can be written");
+    } else {
+        assert!(written == right, "{document} is out of date: UPDATE_DOCUMENTS=1 cargo test --test documents");
+    }
+}
+
+#[test]
+fn the_tables_of_hops_counters_and_causes_are_those_that_the_code_is_made_from() {
+    let mut timing = String::from("| hop | from → to | includes |\n|---|---|---|\n");
+    let mut screen = String::from("| row | from → to |\n|---|---|\n");
+    for hop in Hop::ALL {
+        let [ends, includes] = hop.defined();
+        writeln!(timing, "| `{}` | {ends} | {includes} |", hop.name()).expect("a string takes all");
+        writeln!(screen, "| {} | {} |", hop.words(), hop.reads()).expect("a string takes all");
+    }
+    hold_table("docs/timing.md", "hops", &timing);
+    hold_table("docs/screen.md", "hops", &screen);
+    let mut counters = String::from("| counter | counts |\n|---|---|\n");
+    for counter in Counters::ALL {
+        writeln!(counters, "| `{}` | {} |", counter.name, counter.sentence.trim_end_matches('.'))
+            .expect("a string takes all");
+    }
+    hold_table("docs/screen.md", "counters", &counters);
+    let mut causes = String::from("| cause | on the screen | meaning |\n|---|---|---|\n");
+    for cause in Cause::ALL {
+        let sentence = cause.sentence().trim_end_matches('.');
+        writeln!(causes, "| `{}` | {} | {sentence} |", cause.name(), cause.words()).expect("a string takes all");
+    }
+    hold_table("docs/screen.md", "causes", &causes);
+}
+
 #[test]
 fn the_document_of_exit_codes_holds_the_table_that_the_code_is_made_from() {
-    let file = root().join("docs/exit-codes.md");
-    let written = read(&file);
     let mut table = String::from("| headline | exit code | meaning |\n|---|---|---|\n");
     for headline in Headline::ALL {
         let (word, code, sentence) = (headline.screen_word(), headline.exit_code(), headline.sentence());
         writeln!(table, "| {word} | {code} | {sentence} |").expect("a string takes all");
     }
-    let begin = "<!-- headlines -->\n";
-    let from = written.find(begin).expect("the table begins") + begin.len();
-    let to = from + written[from..].find("<!-- end of headlines -->").expect("the table ends");
-    let mut right = written.clone();
-    right.replace_range(from..to, &table);
-    if std::env::var_os("UPDATE_DOCUMENTS").is_some() {
-        std::fs::write(&file, &right).expect("it can be written");
-    } else {
-        assert!(written == right, "docs/exit-codes.md is out of date: UPDATE_DOCUMENTS=1 cargo test --test documents");
-    }
+    hold_table("docs/exit-codes.md", "headlines", &table);
     assert!(read(&root().join("README.md")).contains("(docs/exit-codes.md)"), "README links the table");
 }
 
@@ -390,8 +424,7 @@ fn labels_of_the_screen() -> Vec<String> {
         after.into_iter().filter_map(|rest| rest.split_once('"').map(|(label, _)| label.to_owned())).collect::<Vec<_>>()
     };
     let mut labels: Vec<String> = ["entry(\"", "let mut label = \""].into_iter().flat_map(literals).collect();
-    let hops = code.lines().filter(|line| line.trim_start().starts_with("Hop::"));
-    labels.extend(hops.filter_map(|line| Some(line.split_once("=> \"")?.1.split_once('"')?.0.to_owned())));
+    labels.extend(Hop::ALL.map(|hop| hop.words().to_owned()));
     labels.retain(|label| !label.is_empty());
     labels
 }

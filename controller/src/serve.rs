@@ -50,11 +50,13 @@ impl Ports {
 
     /// Maps what has joined or left, in the slack.
     pub(crate) fn update_connections(&self) {
+        // Every field is named, so that no port can be forgotten.
+        let Self { states, setpoints, torques, announce, joined: _, states_bell: _, torque_bell: _ } = self;
         // What can't be mapped now belongs to a process that is just dying; the next look finds it gone.
-        let _ = self.states.update_connections();
-        let _ = self.setpoints.update_connections();
-        let _ = self.torques.update_connections();
-        let _ = self.announce.update_connections();
+        let _ = states.update_connections();
+        let _ = setpoints.update_connections();
+        let _ = torques.update_connections();
+        let _ = announce.update_connections();
     }
 }
 

@@ -48,10 +48,10 @@ pub const MINOR_FAULT_MAX_NS: u64 = 1_000_000;
 pub const SILENCE_NS: u64 = 5_000_000;
 
 macro_rules! causes {
-    ($($(#[$meta:meta])* $variant:ident = $name:literal, $words:literal;)*) => {
+    ($($(#[doc = $sentence:literal])* $variant:ident = $name:literal, $words:literal;)*) => {
         /// Why a tick was late or missed.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-        pub enum Cause { $($(#[$meta])* $variant,)* }
+        pub enum Cause { $($(#[doc = $sentence])* $variant,)* }
 
         impl Cause {
             /// Every cause.
@@ -64,6 +64,12 @@ macro_rules! causes {
             /// The words on screens.
             #[must_use]
             pub const fn words(self) -> &'static str { match self { $(Self::$variant => $words,)* } }
+
+            /// One sentence, for the documents.
+            #[must_use]
+            pub const fn sentence(self) -> &'static str {
+                match self { $(Self::$variant => concat!($($sentence),*).trim_ascii(),)* }
+            }
         }
     };
 }

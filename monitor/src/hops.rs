@@ -3,91 +3,18 @@
 //! Latencies count from the intended time or from the stamp before, so a stalled loop hides nothing. A value beyond the
 //! range is counted at its end and as overflow, and the largest value is kept exactly: nothing is clipped silently.
 
+mod declared;
+
 use hdrhistogram::{AdditionError, Histogram};
 use loopbound_shared::sample::{Receipt, TickRecord};
 
-use crate::summary::{Latency, Quantiles};
+pub use declared::{Hop, Latency};
+
+use crate::summary::Quantiles;
 
 /// The largest latency that a histogram resolves: 10 s.
 pub const HIGHEST_NS: u64 = 10_000_000_000;
 const SIGNIFICANT_DIGITS: u8 = 3;
-
-/// The parts of a tick that are timed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Hop {
-    /// Deadline → the plant sampled.
-    Wakeup,
-    /// State published → the controller received it.
-    StateToController,
-    /// State received → torque published.
-    Compute,
-    /// Torque published → the plant received it.
-    ControllerToPlant,
-    /// State published → the plant received the accepted torque.
-    RoundTrip,
-    /// Deadline → the plant received the accepted torque.
-    DeadlineToTorque,
-    /// Setpoint published → the plant sampled the state that was answered with it. It contains the reference's lead.
-    SetpointAge,
-    /// The plant's sleep before t_k was to end → the kernel woke it: the noise floor, what the host alone does to a
-    /// periodic thread of this priority on this core.
-    Floor,
-}
-
-impl Hop {
-    /// Every hop, in the order of reports.
-    pub const ALL: [Self; 8] = [
-        Self::Wakeup,
-        Self::StateToController,
-        Self::Compute,
-        Self::ControllerToPlant,
-        Self::RoundTrip,
-        Self::DeadlineToTorque,
-        Self::SetpointAge,
-        Self::Floor,
-    ];
-
-    /// The key in `summary.json` and the tag in `latency.hlog`.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Wakeup => "wakeup",
-            Self::StateToController => "state_to_controller",
-            Self::Compute => "compute",
-            Self::ControllerToPlant => "controller_to_plant",
-            Self::RoundTrip => "round_trip",
-            Self::DeadlineToTorque => "deadline_to_torque",
-            Self::SetpointAge => "setpoint_age",
-            Self::Floor => "floor",
-        }
-    }
-
-    /// The two stamps between which the hop lies: from, to. None where a stamp is absent.
-    ///
-    /// `receipt` is that of the accepted torque, where one was accepted.
-    #[must_use]
-    pub fn stamps(self, record: &TickRecord, receipt: Option<&Receipt>) -> Option<(u64, u64)> {
-        if self == Self::Wakeup {
-            return Some((record.deadline_ns, record.sampled_ns));
-        }
-        if self == Self::Floor {
-            return (record.wake_late_ns != u64::MAX).then_some((0, record.wake_late_ns));
-        }
-        let receipt = receipt?;
-        match self {
-            Self::Wakeup | Self::Floor => None,
-            Self::StateToController => Some((record.published_ns, receipt.state_received_ns)),
-            Self::Compute => Some((receipt.state_received_ns, receipt.torque_published_ns)),
-            Self::ControllerToPlant => Some((receipt.torque_published_ns, receipt.arrived_ns)),
-            // A standby's torque acts from the instant at which it took over, not from its arrival.
-            Self::RoundTrip => Some((record.published_ns, record.accepted_ns)),
-            Self::DeadlineToTorque => Some((record.deadline_ns, record.accepted_ns)),
-            Self::SetpointAge => {
-                (receipt.setpoint_published_ns != 0).then_some((receipt.setpoint_published_ns, record.sampled_ns))
-            }
-        }
-    }
-}
 
 /// One distribution of nanoseconds.
 #[derive(Clone, Debug)]
@@ -222,16 +149,7 @@ impl Hops {
     /// The quantiles for the report, ns.
     #[must_use]
     pub fn latency(&self) -> Latency {
-        let of = |hop| self.of(hop).quantiles();
-        Latency {
-            wakeup: of(Hop::Wakeup),
-            state_to_controller: of(Hop::StateToController),
-            compute: of(Hop::Compute),
-            controller_to_plant: of(Hop::ControllerToPlant),
-            round_trip: of(Hop::RoundTrip),
-            deadline_to_torque: of(Hop::DeadlineToTorque),
-            setpoint_age: of(Hop::SetpointAge),
-        }
+        Latency::of_each(|hop| self.of(hop).quantiles())
     }
 }
 

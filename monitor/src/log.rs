@@ -13,7 +13,7 @@ use hdrhistogram::serialization::Deserializer;
 use hdrhistogram::serialization::interval_log::{IntervalLogIterator, LogEntry};
 
 use crate::hops::{Hop, Hops};
-use crate::summary::{Quantiles, Summary};
+use crate::summary::Summary;
 
 /// Name of the file in the folder of a run.
 pub const FILE: &str = "latency.hlog";
@@ -46,7 +46,7 @@ pub fn add(sum: &mut Hops, log: &[u8], summary: &Summary) -> Result<(), String> 
         sum.of_mut(hop).add(&histogram).map_err(|e| format!("{FILE}: {tag}: {e}"))?;
     }
     for hop in Hop::ALL {
-        if let Some(own) = quantiles(summary, hop) {
+        if let Some(own) = summary.hop(hop) {
             sum.of_mut(hop).note(own);
         }
     }
@@ -75,22 +75,6 @@ fn unpacked(bytes: &[u8]) -> Result<Vec<u8>, String> {
         return Err(format!("a histogram of {digits} digits, allowed: 0 to {DIGITS_MAX}"));
     }
     Ok(found)
-}
-
-/// The figures of one hop in a summary.
-#[must_use]
-pub fn quantiles(summary: &Summary, hop: Hop) -> Option<&Quantiles> {
-    let latency = &summary.latency_ns;
-    match hop {
-        Hop::Wakeup => Some(&latency.wakeup),
-        Hop::StateToController => Some(&latency.state_to_controller),
-        Hop::Compute => Some(&latency.compute),
-        Hop::ControllerToPlant => Some(&latency.controller_to_plant),
-        Hop::RoundTrip => Some(&latency.round_trip),
-        Hop::DeadlineToTorque => Some(&latency.deadline_to_torque),
-        Hop::SetpointAge => Some(&latency.setpoint_age),
-        Hop::Floor => summary.floor.as_ref(),
-    }
 }
 
 #[cfg(test)]

@@ -4,12 +4,13 @@ mod bound;
 
 use std::fmt::Write as _;
 
+use loopbound_shared::counters::Counters;
 use loopbound_shared::event::MessageKind;
 
 use crate::cause::words_of;
 use crate::counted::counted;
 use crate::hops::Hop;
-use crate::summary::{Quantiles, Summary};
+use crate::summary::Summary;
 
 /// The report, at most `width` (at least 60, at most 100) columns wide; `colour` only on a terminal.
 #[must_use]
@@ -99,12 +100,12 @@ fn latencies(screen: &mut Screen, summary: &Summary) {
     let heading = if summary.latency_is_virtual { "latency (virtual)" } else { "latency" };
     screen.painted(&format!("{heading:<22}{:>11}{:>11}{:>11}{:>11}{:>11}", "p50", "p99", "p99.9", "max", "n"), "1");
     for hop in Hop::ALL {
-        let Some(quantiles) = of(summary, hop) else { continue };
+        let Some(quantiles) = summary.hop(hop) else { continue };
         let cells: String = [quantiles.p50, quantiles.p99, quantiles.p99_9, quantiles.max]
             .into_iter()
             .map(|value| format!("{:>11}", time(value)))
             .collect();
-        let mut line = format!("  {:<20}{cells}{:>11}", words(hop), quantiles.n);
+        let mut line = format!("  {:<20}{cells}{:>11}", hop.words(), quantiles.n);
         if quantiles.overflow > 0 {
             let _ = write!(line, "  {} > 10 s", quantiles.overflow);
         }
@@ -130,6 +131,9 @@ fn latencies(screen: &mut Screen, summary: &Summary) {
     screen.line("");
 }
 
+/// Counts that have a place of their own on the screen.
+const COUNTED_ABOVE: [&str; 4] = ["ticks", "overruns", "missed", "late"];
+
 fn ticks(screen: &mut Screen, summary: &Summary) {
     let text = format!("{} of {}{}", summary.missed_ticks, summary.ticks, causes(&summary.missed_ticks_by_cause));
     screen.entry("missed ticks", &text);
@@ -137,24 +141,10 @@ fn ticks(screen: &mut Screen, summary: &Summary) {
     let text = format!("{} (deadline → torque > {limit}){}", summary.late_ticks, causes(&summary.late_ticks_by_cause));
     screen.entry("late ticks", &text);
     let mut text = format!("{}", summary.overruns);
-    for (key, words) in [
-        ("skipped", "ticks skipped"),
-        ("setpoint_stale", "setpoints stale"),
-        ("stale", "torques stale"),
-        ("not_finite", "not finite"),
-        ("malformed", "malformed"),
-        ("unknown_writer", "of unknown writers"),
-        ("fenced", "fenced"),
-        ("held", "ticks held"),
-        ("damped", "damped"),
-        ("stopped", "stopped"),
-        ("saturated", "saturated"),
-        ("failovers", "failovers"),
-        ("faults_injected", "faults injected"),
-    ] {
-        let count = summary.counters.get(key).copied().unwrap_or(0);
+    for counter in Counters::ALL.iter().filter(|counter| !COUNTED_ABOVE.contains(&counter.name)) {
+        let count = summary.counters.get(counter.name).copied().unwrap_or(0);
         if count > 0 {
-            let _ = write!(text, ", {count} {words}");
+            let _ = write!(text, ", {} {}", counted(count, counter.unit), counter.words);
         }
     }
     screen.entry("overruns", &text);
@@ -251,33 +241,6 @@ fn recording(screen: &mut Screen, summary: &Summary) {
     }
     let why = error.map_or_else(String::new, |error| format!("{error}; "));
     screen.entry("recording", &format!("INCOMPLETE: {why}{dropped}"));
-}
-
-fn of(summary: &Summary, hop: Hop) -> Option<&Quantiles> {
-    let latency = &summary.latency_ns;
-    Some(match hop {
-        Hop::Wakeup => &latency.wakeup,
-        Hop::StateToController => &latency.state_to_controller,
-        Hop::Compute => &latency.compute,
-        Hop::ControllerToPlant => &latency.controller_to_plant,
-        Hop::RoundTrip => &latency.round_trip,
-        Hop::DeadlineToTorque => &latency.deadline_to_torque,
-        Hop::SetpointAge => &latency.setpoint_age,
-        Hop::Floor => return summary.floor.as_ref(),
-    })
-}
-
-fn words(hop: Hop) -> &'static str {
-    match hop {
-        Hop::Wakeup => "wake-up",
-        Hop::StateToController => "state → controller",
-        Hop::Compute => "compute",
-        Hop::ControllerToPlant => "controller → plant",
-        Hop::RoundTrip => "round trip",
-        Hop::DeadlineToTorque => "deadline → torque",
-        Hop::SetpointAge => "setpoint age",
-        Hop::Floor => "floor: bare wake-up",
-    }
 }
 
 /// The causes that occurred, after a colon.

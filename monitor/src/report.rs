@@ -16,6 +16,7 @@ use loopbound_shared::sample::{Links, TickRecord};
 use serde::Serialize;
 use serde_json::{Value, json};
 
+use crate::cause::Cause;
 use crate::event::words::complete;
 use crate::hops::Hop;
 use crate::recording::proto::Figures;
@@ -177,12 +178,21 @@ fn percentile_steps(text: &str) -> Vec<[f64; 2]> {
     text.lines().filter(|line| !line.starts_with('#')).filter_map(step).collect()
 }
 
+/// The hops of the charts, with their words. The age of a setpoint is the lead of the reference, no latency of the loop.
+fn hops() -> Vec<(&'static str, &'static str)> {
+    Hop::ALL.into_iter().filter(|hop| *hop != Hop::SetpointAge).map(|hop| (hop.name(), hop.words())).collect()
+}
+
+fn causes() -> Vec<(&'static str, &'static str)> {
+    Cause::ALL.iter().map(|cause| (cause.name(), cause.words())).collect()
+}
+
 /// The page of one run or of several side by side.
 #[must_use]
 pub fn page(runs: &[Run]) -> String {
     let title = runs.iter().map(|run| run.name.as_str()).collect::<Vec<_>>().join(" | ");
     // Nothing in the data can end the script element that holds it.
-    let data = json!({ "runs": runs }).to_string().replace('<', "\\u003c");
+    let data = json!({ "runs": runs, "hops": hops(), "causes": causes() }).to_string().replace('<', "\\u003c");
     include_str!("report/page.html")
         .replace("{{title}}", &escape(&title))
         .replace("{{style}}", include_str!("report/page.css"))

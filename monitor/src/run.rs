@@ -3,17 +3,15 @@
 //! It runs at the ordinary priority, polls and is never a listener, so that the loop does not feel it. It ends with
 //! the plant's last record, with the plant, on the stop flag, after its time, or when the group has died.
 
+mod outputs;
+
 use std::collections::BTreeMap;
-use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 
-use loopbound_model::chain::LINKS_MAX;
 use loopbound_model::with_links;
 use loopbound_scenario::Mode;
-use loopbound_shared::clock::{
-    now_ns, seconds, sleep_ns, sleep_until_ns_or_signal, wait_until_ns, wall_time, wall_time_ns,
-};
+use loopbound_shared::clock::{now_ns, seconds, sleep_ns, sleep_until_ns_or_signal, wait_until_ns, wall_time};
 use loopbound_shared::doorbell::{Bell, ControlBlock};
 use loopbound_shared::event::{MessageKind, Phase, Role};
 use loopbound_shared::fault::FaultPlan;
@@ -26,17 +24,15 @@ use loopbound_shared::say;
 use loopbound_shared::topics::Topic;
 
 use crate::account::Accountant;
-use crate::files::{LOST_FILE, Place, Recorder, summary_text};
-use crate::folder::{Begin, Claim, FolderError, Kind, self_contained, waypoints_of};
+use crate::files::{LOST_FILE, Place, Recorder};
 use crate::judge::Judge;
-use crate::live::{Address, Live, LiveError, Origin};
+use crate::live::{Address, Live, Origin};
 use crate::members::Members;
-use crate::recording::{About, Started};
-use crate::render::render;
 use crate::summary::Summary;
 use crate::tracker::{Config, Tracker};
 use crate::verdict::expectations::{judge, validate};
 use crate::verdict::{Interim, judge_summary};
+use outputs::{about, claim, report, serve, take};
 
 /// Ticks that the plant may be ahead of a managed monitor: three quarters of the subscriber's buffer.
 const CREDIT_TICKS: u64 = 1536;
@@ -139,7 +135,7 @@ pub fn run(args: &MonitorArgs, stop: &AtomicBool) -> Result<Outcome, RoleError> 
 }
 
 /// The monitor's own injected faults, also those of ticks that it did not see.
-fn suffer(faults: &FaultPlan, record: &TickRecord, last_tick: Option<u64>) {
+fn inject(faults: &FaultPlan, record: &TickRecord, last_tick: Option<u64>) {
     // The first record that it sees is no gap: those before it were never meant for it.
     let from = last_tick.map_or(record.tick, |last| last + 1);
     for tick in if faults.is_empty() { 0..0 } else { from..record.tick + 1 } {
@@ -295,7 +291,7 @@ impl<'a, const N: usize> Watch<'a, N> {
         while count < BATCH_MAX {
             let Self { records, announces, members, tracker, accountant, recorder, live, last_seen, faults, .. } = self;
             let taken = records.take_with(|record| {
-                suffer(faults, record, tracker.last_tick());
+                inject(faults, record, tracker.last_tick());
                 *last_seen |= record.flags & record_flag::LAST != 0;
                 // One that was started for a swap may be in charge before the next look at everything else.
                 if !tracker.knows(record.active) {
@@ -512,76 +508,4 @@ fn strangers(block: &ControlBlock, summary: &Summary) -> BTreeMap<String, u64> {
     let torques = summary.counters.get("unknown_writer").copied().unwrap_or(0);
     counts.insert(MessageKind::Torque.name().to_owned(), torques);
     counts
-}
-
-/// The folder of a monitor that a user has attached. The launcher takes that of its own monitor.
-fn claim(folder: &Path) -> Result<Claim, RoleError> {
-    Claim::prepare(folder, Kind::Run).map_err(|error| RoleError::Usage(format!("--out {error}")))
-}
-
-fn take(claim: Claim, joined: &Joined) -> Result<Place, RoleError> {
-    let refuse = |error: FolderError| RoleError::Usage(format!("--out {error}"));
-    let scenario = self_contained(&joined.scenario).to_toml()?;
-    let waypoints = waypoints_of(&joined.scenario).map_err(refuse)?;
-    let begin = Begin {
-        run_id: joined.group.run_id(),
-        group: joined.group.name(),
-        scenario: Some(&scenario),
-        waypoints: waypoints.as_deref(),
-    };
-    claim.begin(&begin).map(Place::Own).map_err(refuse)
-}
-
-/// Starts to serve, and says where: the port may have been left to the system.
-fn serve(address: &Address, args: &MonitorArgs, joined: &Joined) -> Result<Live, RoleError> {
-    let scenario = &joined.scenario;
-    let lockstep = scenario.loop_.mode == Mode::Lockstep;
-    let live = Live::start(address, &args.foxglove_origins, &about(args, joined)?, scenario.period_ns(), lockstep);
-    let live = live.map_err(refused)?;
-    let whom = if address.is_loopback() { "this machine" } else { "every machine that can reach this one" };
-    if !args.quiet {
-        say::err!("loopbound: group {} is live for Foxglove on {whom} at {}", args.group, live.url());
-    }
-    Ok(live)
-}
-
-fn refused(error: LiveError) -> RoleError {
-    match error {
-        LiveError::Bind { .. } | LiveError::Absent => RoleError::Usage(error.to_string()),
-        LiveError::Server(_) => RoleError::Other(error.to_string()),
-    }
-}
-
-/// What a recording says of its run.
-fn about(args: &MonitorArgs, joined: &Joined) -> Result<About, RoleError> {
-    let scenario = &joined.scenario;
-    let virtual_time = scenario.loop_.mode == Mode::Lockstep;
-    let mut length_m = [1.0; LINKS_MAX];
-    // A chain that is given by coefficients has no lengths; links of 1 m show its angles.
-    if let Some(lengths) = &scenario.plant.length {
-        length_m.iter_mut().zip(lengths.to_vec(scenario.links())).for_each(|(place, length)| *place = length);
-    }
-    Ok(About {
-        links: scenario.links(),
-        length_m,
-        started: Started { wall_ns: wall_time_ns(), monotonic_ns: (!virtual_time).then(now_ns) },
-        group: args.group.clone(),
-        scenario: self_contained(scenario).to_toml()?,
-        run_id: joined.group.run_id().to_string(),
-    })
-}
-
-/// Leaves the summary to the launcher, or prints it.
-fn report(args: &MonitorArgs, joined: &Joined, outcome: &Outcome) -> Result<(), RoleError> {
-    if args.managed {
-        let text = summary_text(&outcome.summary).map_err(|e| RoleError::Other(format!("summary.json: {e}")))?;
-        return Ok(joined.group.write("summary.json", &text)?);
-    }
-    if args.json {
-        let text = serde_json::to_string_pretty(&outcome.summary);
-        say::out!("{}", text.map_err(|e| RoleError::Other(e.to_string()))?);
-    } else {
-        let _ = write!(say::stdout(), "{}", render(&outcome.summary, 100, say::in_colour(say::to_terminal())));
-    }
-    Ok(())
 }

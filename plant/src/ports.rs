@@ -104,14 +104,28 @@ impl Ports {
 
     /// Maps what has joined or left, in the slack.
     pub(crate) fn update_connections(&self) {
+        // Every field is named, so that no port can be forgotten.
+        let Self {
+            states,
+            records,
+            announce,
+            torques,
+            setpoints,
+            announces,
+            commands,
+            torque_bell: _,
+            state_bell: _,
+            faults: _,
+            joined: _,
+        } = self;
         // What can't be mapped now belongs to a process that is just dying; the next look finds it gone.
-        let _ = self.torques.update_connections();
-        let _ = self.setpoints.update_connections();
-        let _ = self.states.update_connections();
-        let _ = self.records.update_connections();
-        let _ = self.announce.update_connections();
-        let _ = self.announces.update_connections();
-        let _ = self.commands.update_connections();
+        let _ = torques.update_connections();
+        let _ = setpoints.update_connections();
+        let _ = states.update_connections();
+        let _ = records.update_connections();
+        let _ = announce.update_connections();
+        let _ = announces.update_connections();
+        let _ = commands.update_connections();
     }
 
     /// The next torque that is meant for a tick: answers to the warm-up may still come when the first one is open.

@@ -5,6 +5,7 @@
 
 mod alarm;
 pub mod clock;
+pub mod counters;
 pub mod doorbell;
 pub mod event;
 pub mod fault;

@@ -6,11 +6,12 @@ use thiserror::Error;
 
 use crate::clock;
 use crate::doorbell::ControlBlock;
-use crate::event::{Phase, Role};
+use crate::event::{MessageKind, Phase, Role};
 use crate::group::{Group, GroupError};
+use crate::layout::{FNV_START, Layout, fnv1a};
 use crate::ports::{Node, PortError};
 use crate::realtime::{Privileges, Request};
-use crate::sample::Announce;
+use crate::sample::{Announce, Command, Reply, Setpoint, State, TickRecord, Torque};
 use loopbound_scenario::{Cores, Mode, Scenario, ScenarioError};
 
 /// How a role process is started: `EXE --group G --id N --scenario FILE [--parent PID]`.
@@ -114,12 +115,21 @@ pub fn announce(role: Role, id: u32, phase: Phase, links: usize, privileges: Pri
 /// Identifies what this executable exchanges and computes: version and layout of every sample.
 #[must_use]
 pub fn build_id() -> u64 {
-    use crate::layout::{FNV_START, Layout, fnv1a};
-    use crate::sample::{Command, Reply, Setpoint, State, TickRecord, Torque};
     let hash = fnv1a(FNV_START, env!("CARGO_PKG_VERSION").as_bytes());
-    [Setpoint::HASH, State::HASH, Torque::HASH, TickRecord::HASH, Announce::HASH, Command::HASH, Reply::HASH]
-        .iter()
-        .fold(hash, |hash, layout| fnv1a(hash, &layout.to_le_bytes()))
+    MessageKind::ALL.iter().fold(hash, |hash, kind| fnv1a(hash, &layout_of(*kind).to_le_bytes()))
+}
+
+/// Layout of what travels as a message of a kind.
+const fn layout_of(kind: MessageKind) -> u64 {
+    match kind {
+        MessageKind::Setpoint => Setpoint::HASH,
+        MessageKind::State => State::HASH,
+        MessageKind::Torque => Torque::HASH,
+        MessageKind::TickRecord => TickRecord::HASH,
+        MessageKind::Announce => Announce::HASH,
+        MessageKind::Command => Command::HASH,
+        MessageKind::Reply => Reply::HASH,
+    }
 }
 
 /// What a process of the loop asks of the kernel: the plant on the first of the scenario's cores, controllers on the

@@ -5,6 +5,7 @@
 //! it belongs to or answers, its writer and that writer's epoch, and copies the stamps of its inputs through. Stamps
 //! `…_ns` are CLOCK_MONOTONIC in realtime mode and virtual in lockstep; `…_plant_ns` count from t = 0 of the plant in both.
 
+pub use crate::counters::Counters;
 use crate::event::{MessageKind, Role};
 use crate::layout::Layout;
 use crate::realtime::{Evidence, Privileges};
@@ -255,52 +256,6 @@ wire! {
         pub detail: u64,
         /// A magnitude, by kind.
         pub value: f64,
-    }
-}
-
-wire! {
-    /// Counts since the start of the plant. Cumulative, so a gap in what a reader saw loses detail, never a count.
-    pub struct Counters {
-        /// Ticks whose record was published.
-        pub ticks: u64,
-        /// Ticks skipped in overruns; never published.
-        pub skipped: u64,
-        /// Overruns: wake-ups after t_{k+1}.
-        pub overruns: u64,
-        /// Missed ticks: skipped, or without an accepted torque by the grace deadline.
-        pub missed: u64,
-        /// Torques that came after the grace deadline.
-        pub late: u64,
-        /// Torques for another tick; never applied.
-        pub stale: u64,
-        /// Torques that were not finite; never applied.
-        pub not_finite: u64,
-        /// Torques of the wrong number of links, or beyond what is allowed; never applied.
-        pub malformed: u64,
-        /// Torques of unknown writers; never applied.
-        pub unknown_writer: u64,
-        /// Torques of a fenced epoch; never applied.
-        pub fenced: u64,
-        /// A second torque of one writer for one tick; never applied.
-        pub duplicate: u64,
-        /// Withheld markers.
-        pub withheld: u64,
-        /// Ticks in which the torque limit acted.
-        pub saturated: u64,
-        /// Ticks whose setpoint was absent and extrapolated.
-        pub setpoint_stale: u64,
-        /// Faults injected, by the torques' own account and the plant's.
-        pub faults_injected: u64,
-        /// Ticks held by the last torque.
-        pub held: u64,
-        /// Ticks under the plant's own damping.
-        pub damped: u64,
-        /// Ticks in safe stop.
-        pub stopped: u64,
-        /// Ticks for which a standby's torque was applied.
-        pub failovers: u64,
-        /// Segments that found no room in a record.
-        pub segments_dropped: u64,
     }
 }
 

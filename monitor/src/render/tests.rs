@@ -1,5 +1,5 @@
 use super::*;
-use crate::summary::{BoundSummary, LawSummary, MissingPrivilege};
+use crate::summary::{BoundSummary, LawSummary, MissingPrivilege, Quantiles};
 
 fn full() -> Summary {
     let mut summary = Summary { links: 3, rate_hz: Some(1000.0), mode: "realtime".to_owned(), ..Summary::default() };
@@ -152,4 +152,15 @@ fn no_certified_figure_stands_beside_a_larger_one_without_the_reason() {
     let text = shown(&exact, 0.0014);
     assert!(text.contains("‖W‖ settled 0.9000; certified: ‖e‖ and ‖W‖ tend to 0 in continuous time"), "{text}");
     assert!(!text.contains('≤') && !text.contains("of 0.0000"), "{text}");
+}
+
+#[test]
+fn every_count_that_has_no_line_of_its_own_appears_beside_the_overruns_with_its_words() {
+    let mut summary = full();
+    summary.counters = Counters::ALL.iter().map(|counter| (counter.name.to_owned(), 1)).collect();
+    let text = render(&summary, 100, false).split_whitespace().collect::<Vec<_>>().join(" ");
+    for counter in Counters::ALL.iter().filter(|counter| !COUNTED_ABOVE.contains(&counter.name)) {
+        let shown = format!(", 1 {} {}", counter.unit, counter.words);
+        assert!(text.contains(shown.trim_end()), "{shown}: {text}");
+    }
 }

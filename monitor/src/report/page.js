@@ -1,10 +1,9 @@
 'use strict';
 // Draws what the data element holds. All charts over time share one interval: dragging across one zooms all.
-const RUNS = JSON.parse(document.getElementById('data').textContent).runs;
+const DATA = JSON.parse(document.getElementById('data').textContent), RUNS = DATA.runs;
 const WIDTH = RUNS.length > 1 ? 720 : 1100, LEFT = 62, RIGHT = 14, TOP = 10, BOTTOM = 24;
-const HOPS = ['wakeup', 'state_to_controller', 'compute', 'controller_to_plant', 'round_trip', 'deadline_to_torque', 'floor'];
-const CAUSES = { run_queue_delay: 1, involuntary_switch: 4, page_fault: 3, timer_or_host: 0, own_overrun: 6, controller_late: 2,
-  controller_silent: 3, controller_dead: 3, injected_fault: 5, setpoint_stale: 4, monitor_joined: 7, unknown: 7 };
+const HOPS = DATA.hops.map(([name]) => name), HOP_WORDS = Object.fromEntries(DATA.hops);
+const CAUSES = Object.fromEntries(DATA.causes.map(([name], at) => [name, at])), CAUSE_WORDS = Object.fromEntries(DATA.causes);
 const WHY = {
   latency: 'the age of the torque accounts for it (∫L)',
   designed_hold: 'the hold of the sampling accounts for it, by design (∫L)',
@@ -205,7 +204,7 @@ function percentileChart(run) {
   const { svg, x, y } = frame(box, height, [1, x1], yRange, { xLog: true, yLog: true, xName: 'percentile', yName: 'µs', xText: v => Math.abs(Math.log10(v) % 1) < 1e-6 ? nines(v) : '' });
   const lines = of(run).map(([hop, steps]) => {
     const path = steps.filter(p => p[1] > 0).map(([p, us], k) => `${k ? 'L' : 'M'}${x(p).toFixed(1)} ${y(us).toFixed(1)}`).join('');
-    return `<path d="${path}" fill="none" stroke="${colour(HOPS.indexOf(hop))}" stroke-width="${hop === 'round_trip' ? 2.6 : 1.6}"><title>${words(hop)}</title></path>`;
+    return `<path d="${path}" fill="none" stroke="${colour(HOPS.indexOf(hop))}" stroke-width="${hop === 'round_trip' ? 2.6 : 1.6}"><title>${esc(HOP_WORDS[hop])}</title></path>`;
   });
   box.innerHTML = `<svg viewBox="0 0 ${WIDTH} ${height}">${svg}${lines.join('')}</svg>`;
   return box;
@@ -222,8 +221,8 @@ const facts = rows => table(['', ''], rows.map(([k, v]) => [words(k), esc(typeof
 const plain = name => String(name).replace(/_/g, ' ');
 const SAID = {
   'first seen': () => 'the first record that the monitor got',
-  late: e => `${e.deadline_to_torque_ns ? `the torque came ${duration(e.deadline_to_torque_ns)} after the deadline` : 'no torque came'}: ${plain(e.cause)}`,
-  missed: e => `${e.ticks === 1 ? 'no torque in time' : `${e.ticks} ticks without a torque in time`}${e.decision ? `, ${plain(e.decision)}` : ''}: ${plain(e.cause)}`,
+  late: e => `${e.deadline_to_torque_ns ? `the torque came ${duration(e.deadline_to_torque_ns)} after the deadline` : 'no torque came'}: ${CAUSE_WORDS[e.cause] ?? plain(e.cause)}`,
+  missed: e => `${e.ticks === 1 ? 'no torque in time' : `${e.ticks} ticks without a torque in time`}${e.decision ? `, ${plain(e.decision)}` : ''}: ${CAUSE_WORDS[e.cause] ?? plain(e.cause)}`,
   gap: e => `${e.ticks === 1 ? '1 record' : `${e.ticks} records`} did not reach the monitor`,
   rejected: e => `a torque of controller ${e.controller} was not applied: ${plain(e.reason)}`,
   bound: e => `the bound was broken: ${WHY[e.verdict] ?? plain(e.verdict)}`,
@@ -318,10 +317,10 @@ function slack(run, at) {
   add(at, `<p class="note">Least ${withUnit(b.slack_min, b.v_unit)}, mean ${withUnit(b.slack_mean, b.v_unit)} a tick${most}.</p>`);
 }
 function latency(run, at) {
-  add(at, legend(HOPS.map((hop, i) => ({ name: hop.replace(/_/g, ' '), colour: colour(i) }))));
+  add(at, legend(HOPS.map((hop, i) => ({ name: HOP_WORDS[hop], colour: colour(i) }))));
   at.append(percentileChart(run));
-  const q = run.summary.latency_ns ?? {};
-  add(at, table(['hop', 'n', 'p50', 'p90', 'p99', 'p99.9', 'max'], HOPS.filter(h => q[h]?.n).map(h => [words(h), String(q[h].n), ...['p50', 'p90', 'p99', 'p99_9', 'max'].map(k => duration(q[h][k]))])));
+  const q = { ...run.summary.latency_ns, floor: run.summary.floor };
+  add(at, table(['hop', 'n', 'p50', 'p90', 'p99', 'p99.9', 'max'], HOPS.filter(h => q[h]?.n).map(h => [esc(HOP_WORDS[h]), String(q[h].n), ...['p50', 'p90', 'p99', 'p99_9', 'max'].map(k => duration(q[h][k]))])));
 }
 function trips(run, at) {
   const line = { name: 'round trip, µs', at: 4 * (run.summary.links ?? 0) + 3, colour: colour(4) };
@@ -332,7 +331,7 @@ function late(run, at) {
   const dots = found.map(e => ({ t: e.t_s, y: Math.max(e.deadline_to_torque_ns || e.magnitude_ns || 1, 1) / 1e3, colour: colour(CAUSES[e.cause] ?? 7), text: describe(e), stem: true }));
   const causes = [...new Set(found.map(e => e.cause))];
   if (!found.length) { add(at, '<div class="chart"><div class="empty">No tick was late or missed.</div></div>'); return; }
-  add(at, legend(causes.map(c => ({ name: `${String(c).replace(/_/g, ' ')} (${found.filter(e => e.cause === c).length})`, colour: colour(CAUSES[c] ?? 7) }))));
+  add(at, legend(causes.map(c => ({ name: `${CAUSE_WORDS[c] ?? plain(c)} (${found.filter(e => e.cause === c).length})`, colour: colour(CAUSES[c] ?? 7) }))));
   at.append(overTime(run, { unit: 'µs (log)', lines: [], dots, marks: marksOf(run), yLog: true, height: 190 }));
 }
 function happened(run, at) {

@@ -150,8 +150,10 @@ fn latencies<const N: usize>(frame: &mut Frame, area: Rect, model: &Model<N>) {
         let found = model.quantiles(*hop);
         let most = sparks.iter().copied().max().unwrap_or(1).max(1);
         let spark: String = sparks.iter().rev().take(14).rev().map(|ns| SPARKS[spark_height(*ns, most)]).collect();
-        let name = hop.name().replace('_', " ");
-        Row::new([name, us(found.p50), us(found.p99), us(found.p99_9), us(found.max), spark].map(Cell::from))
+        Row::new(
+            [hop.words().to_owned(), us(found.p50), us(found.p99), us(found.p99_9), us(found.max), spark]
+                .map(Cell::from),
+        )
     });
     let widths = [21, 8, 8, 9, 9].map(Constraint::Length).into_iter().chain([Constraint::Min(4)]);
     let title = if model.lockstep { " latency, µs (virtual: what was injected) " } else { " latency, µs " };
