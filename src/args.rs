@@ -9,8 +9,8 @@ use loopbound_model::quote;
 use loopbound_shared::say;
 
 use crate::commands::{
-    bound, check, clean, compare, doctor, fault, model, monitor, options, pages, ps, replay, report, roles, run, study,
-    swap,
+    bound, check, clean, compare, doctor, fault, model, monitor, options, pages, ps, replay, report, roles, run,
+    scenario, study, swap,
 };
 use crate::exit::{Exit, one_line};
 use crate::signals;
@@ -135,6 +135,12 @@ Examples:
   loopbound study rate --law robust-ff
   loopbound study load --quick                         which setting for this machine, measured")]
     Study(study::StudyArgs),
+    /// Print every key of a scenario with its default and its meaning, or the JSON schema for editors.
+    #[command(after_help = "\
+Examples:
+  loopbound scenario > my.toml                         a file to begin with
+  loopbound scenario --schema > scenario.schema.json   then, as the first line of a scenario: #:schema ./scenario.schema.json")]
+    Scenario(scenario::KeysArgs),
     /// Answer each line of JSON with M, C, G and the acceleration at that state.
     #[command(after_help = "\
 Example:
@@ -237,6 +243,7 @@ fn dispatch(command: Command) -> anyhow::Result<Exit> {
         Command::Check(args) => check::check(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Bound(args) => bound::run(&args),
+        Command::Scenario(args) => scenario::run(&args),
         Command::Model(args) => model::run(&args),
         Command::Study(args) => study::run(&args),
         Command::Completions { shell } => pages::completions(shell, &mut Cli::command()),

@@ -16,5 +16,6 @@ pub mod replay;
 pub mod report;
 pub mod roles;
 pub mod run;
+pub mod scenario;
 pub mod study;
 pub mod swap;

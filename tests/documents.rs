@@ -3,7 +3,7 @@
 //! link leads somewhere, and one thing has one word.
 //!
 //! The map is made of the files' own first sentences. After a change, `UPDATE_DOCUMENTS=1 cargo test --test documents`
-//! writes it and the table of headlines anew.
+//! writes it, the table of headlines and the tables of keys anew.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -13,6 +13,8 @@ use clap::{CommandFactory as _, Parser as _};
 use loopbound::args::Cli;
 use loopbound_monitor::cause::Cause;
 use loopbound_monitor::hops::Hop;
+use loopbound_scenario::Scenario;
+use loopbound_scenario::key::Placed;
 use loopbound_shared::counters::Counters;
 use loopbound_shared::headline::Headline;
 
@@ -152,87 +154,94 @@ fn the_document_of_exit_codes_holds_the_table_that_the_code_is_made_from() {
     assert!(read(&root().join("README.md")).contains("(docs/exit-codes.md)"), "README links the table");
 }
 
-/// Keys with their default (`None`: derived, or none), by section.
-type Keys = BTreeMap<(String, String), Option<String>>;
-
-/// The keys of the paper's scenario, which names all there are (a test beside the keys checks that).
-fn keys_of_the_scenario() -> Keys {
-    let (mut keys, mut section) = (Keys::new(), String::new());
-    for line in read(&root().join("scenarios/paper.toml")).lines() {
-        let (off, line) = line.strip_prefix("# ").map_or((false, line), |line| (true, line));
-        if line.starts_with('[') {
-            section = line.split('#').next().unwrap_or(line).trim().to_owned();
-        } else if let Some((key, rest)) = line.split_once(" = ").filter(|_| !section.is_empty()) {
-            let default = rest.split(" #").next().unwrap_or(rest).trim().to_owned();
-            keys.entry((section.clone(), key.trim_matches('"').to_owned())).or_insert((!off).then_some(default));
-        }
+/// The table of one section: of each key its default, what it may be, and its whole description.
+fn table_of(placed: &Placed) -> String {
+    let mut table = String::from("| key | default | allowed | meaning |\n|---|---|---|---|\n");
+    for key in placed.section.own_keys() {
+        let default = Scenario::default_of(&placed.path, key.name).map(|value| format!("`{value}`"));
+        let default = default.unwrap_or_else(|| key.default_in_words());
+        let allowed = key.allowed().replace(" | ", ", ");
+        let kinds = key.kinds().join(", ");
+        let kinds = if kinds.is_empty() { kinds } else { format!("{kinds}: ") };
+        let meaning = key.description();
+        let meaning = meaning.strip_suffix('.').filter(|text| !text.contains(". ")).unwrap_or(&meaning);
+        assert!(!default.is_empty() && !meaning.is_empty(), "{}.{} says too little", placed.path, key.name);
+        writeln!(table, "| `{}` | {default} | {allowed} | {kinds}{meaning} |", key.name).expect("a string takes all");
     }
-    keys
+    table
 }
 
-/// The rows of the tables in docs/scenario.md, below headings such as ``## `[loop]` ``.
-fn keys_of_the_document() -> Keys {
-    let (mut keys, mut section) = (Keys::new(), String::new());
-    for line in read(&root().join("docs/scenario.md")).lines() {
-        if let Some(heading) = line.strip_prefix("## ") {
-            section = heading.trim_matches('`').to_owned();
-        } else if let Some(row) = line.strip_prefix("| `") {
-            let mut cells = row.split(" | ");
-            let key = cells.next().expect("a first cell").trim_end_matches('`').to_owned();
-            let default = cells.next().expect("a second cell");
-            let literal = default.strip_prefix('`').and_then(|rest| rest.strip_suffix('`')).map(str::to_owned);
-            let twice = keys.insert((section.clone(), key.clone()), literal);
-            assert!(twice.is_none(), "{section} {key} stands twice");
-        }
+#[test]
+fn the_document_of_keys_holds_the_tables_that_are_made_from_the_declarations() {
+    let file = root().join("docs/scenario.md");
+    let written = read(&file);
+    let mut right = written.clone();
+    for placed in Placed::all() {
+        let heading = format!("## `{}`", placed.header());
+        assert!(right.lines().any(|line| line == heading), "docs/scenario.md has no heading {heading}");
+        let begin = format!("<!-- keys: {} -->\n", placed.path);
+        let from = right.find(&begin).unwrap_or_else(|| panic!("no table of {}", placed.path)) + begin.len();
+        let to = from + right[from..].find("<!-- end of keys -->").expect("the table ends");
+        right.replace_range(from..to, &table_of(&placed));
     }
-    keys
+    let tables = right.matches("<!-- keys: ").count();
+    assert_eq!(tables, Placed::all().len(), "a table of a section that there is not");
+    if std::env::var_os("UPDATE_DOCUMENTS").is_some() {
+        std::fs::write(&file, &right).expect("it can be written");
+    } else {
+        assert!(written == right, "docs/scenario.md is out of date: UPDATE_DOCUMENTS=1 cargo test --test documents");
+    }
 }
 
-/// The code of all crates but for the files that only declare, check and write out the keys, as one text.
+/// A file without its comments, its tests, and its declarations of sections.
+fn code_of(path: &Path) -> String {
+    let (mut code, mut declares) = (String::new(), false);
+    for line in read(path).lines().take_while(|line| *line != "mod tests {") {
+        declares = (declares || line == "section! {") && line != "}";
+        if !declares {
+            code.push_str(line.split("//").next().unwrap_or(line));
+            code.push('\n');
+        }
+    }
+    code
+}
+
+/// The code of all crates but for what only declares, checks and writes out the keys, as one text.
 fn code_that_reads_keys() -> String {
     let mut open: Vec<PathBuf> = CRATES.iter().map(|source| root().join(source)).collect();
     let mut code = String::new();
+    let not_a_reader = ["scenario/src/validate", "scenario/src/key", "scenario/src/keys"].map(|path| root().join(path));
     while let Some(folder) = open.pop() {
         for path in entries(&folder) {
-            let declares = path.ends_with("scenario/resolve.rs") || path.ends_with("scenario/validate.rs");
-            if path.is_dir() && !path.ends_with("scenario/validate") {
+            if not_a_reader.contains(&path.with_extension("")) || matches!(stem(&path), "tests" | "testing") {
+                continue;
+            }
+            if path.is_dir() {
                 open.push(path);
-            } else if is_rust(&path) && !declares && !matches!(stem(&path), "tests" | "testing" | "keys") {
-                code.push_str(&read(&path));
+            } else if is_rust(&path) {
+                code.push_str(&code_of(&path));
             }
         }
     }
     code
 }
 
-#[test]
-fn every_key_of_a_scenario_is_read_by_somebody() {
-    let code = code_that_reads_keys();
-    let is_word = |c: char| c.is_alphanumeric() || c == '_';
-    for (section, key) in keys_of_the_scenario().into_keys().filter(|(section, _)| section != "[expect]") {
-        let field = if key == "for" { "for_".to_owned() } else { key.clone() };
-        let read = code.match_indices(&format!(".{field}")).any(|(at, found)| {
-            // A field, not a method or a part of a longer name.
-            !code[at + found.len()..].starts_with(|c: char| is_word(c) || c == '(')
-        });
-        assert!(read, "nobody reads {section} {key}");
-    }
+/// Whether a field of this name is read: no method, and no part of a longer name.
+fn is_read(code: &str, field: &str) -> bool {
+    let goes_on = |c: char| c.is_alphanumeric() || c == '_' || c == '(';
+    code.match_indices(&format!(".{field}")).any(|(at, found)| !code[at + found.len()..].starts_with(goes_on))
 }
 
 #[test]
-fn the_reference_of_keys_has_every_key_with_its_default() {
-    let mut document = keys_of_the_document();
-    for (place, default) in keys_of_the_scenario() {
-        // Keys of the summary are open: the scenario shows two of them.
-        if place.0 == "[expect]" && (place.1.contains('.') || place.1 == "missed_ticks") {
-            continue;
-        }
-        let found = document.remove(&place).unwrap_or_else(|| panic!("docs/scenario.md lacks {} {}", place.0, place.1));
-        if default.is_some() {
-            assert_eq!(found, default, "{} {}", place.0, place.1);
+fn every_key_of_a_scenario_is_read_by_somebody() {
+    let code = code_that_reads_keys();
+    assert!(!is_read(&code, "nobody_reads_this") && !is_read("a.grace_ns() + a.grace()", "grace"));
+    for placed in Placed::all() {
+        for key in placed.section.own_keys() {
+            let field = if key.name == "for" { "for_" } else { key.name };
+            assert!(is_read(&code, field), "nobody reads {} {}", placed.path, key.name);
         }
     }
-    assert!(document.is_empty(), "no such keys: {document:?}");
 }
 
 /// The documents, each without its blocks of code, by their paths from the root.

@@ -1,6 +1,6 @@
 //! From the keys of a scenario to the mathematics they describe, for a chain of N links known at compile time.
 
-use super::error::{Place, ScenarioError};
+use super::error::{ScenarioError, WrittenAt};
 use super::{ChainSpec, DisturbanceTerm, Motion, Scenario};
 use crate::input::WAYPOINTS_BYTES_MAX;
 use loopbound_model::chain::{Chain, LinkParameters, Matrix, Vector};
@@ -12,7 +12,7 @@ use std::fmt::Display;
 
 /// A refusal by the mathematics itself, under the section that it concerns.
 fn refused(key: &str, message: impl Display) -> ScenarioError {
-    ScenarioError::Type { place: Place::Nowhere, key: key.to_owned(), message: message.to_string() }
+    ScenarioError::Type { place: WrittenAt::Nowhere, key: key.to_owned(), message: message.to_string() }
 }
 
 /// One value a link.
@@ -116,7 +116,7 @@ impl Scenario {
     /// A motion that the links cannot follow, an unreadable or malformed file, or a number of links other than `N`.
     pub fn build_trajectory<const N: usize>(&self) -> Result<Trajectory<N>, ScenarioError> {
         let key = "reference";
-        let trajectory = match self.reference.motion(self.links()) {
+        let trajectory = match self.motion() {
             Motion::Sine { amplitude_rad, omega_rad_s } => {
                 Trajectory::Sine { amplitude_rad: array(key, &amplitude_rad)?, omega_rad_s: array(key, &omega_rad_s)? }
             }

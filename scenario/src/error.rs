@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 /// Where a fault of a scenario was found.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub enum Place {
+pub enum WrittenAt {
     /// Not written anywhere: a value set by a program.
     #[default]
     Nowhere,
@@ -23,7 +23,7 @@ pub enum Place {
     Set(String),
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for WrittenAt {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Nowhere => Ok(()),
@@ -48,7 +48,7 @@ pub enum ScenarioError {
     #[error("{place}{}", quote::lines(message))]
     Syntax {
         /// Where.
-        place: Place,
+        place: WrittenAt,
         /// What the parser says, in one line.
         message: String,
     },
@@ -56,7 +56,7 @@ pub enum ScenarioError {
     #[error("{place}unknown key `{}`{}", quote::text(key), nearest.as_ref().map(|near| format!(", did you mean `{near}`?")).unwrap_or_default())]
     UnknownKey {
         /// Where.
-        place: Place,
+        place: WrittenAt,
         /// The key as written, dotted.
         key: String,
         /// The known key nearest to it.
@@ -66,7 +66,7 @@ pub enum ScenarioError {
     #[error("{place}`{}`: {}", quote::text(key), quote::lines(message))]
     Type {
         /// Where.
-        place: Place,
+        place: WrittenAt,
         /// The key, dotted.
         key: String,
         /// What was found and what is allowed.
@@ -76,7 +76,7 @@ pub enum ScenarioError {
     #[error("{place}`{}`: found {}, allowed: {allowed}", quote::text(key), quote::text(found))]
     Value {
         /// Where.
-        place: Place,
+        place: WrittenAt,
         /// The key, dotted.
         key: String,
         /// What stands there.
@@ -100,10 +100,10 @@ pub enum ScenarioError {
 impl ScenarioError {
     /// The same error with `place`, if it has none yet and can have one.
     #[must_use]
-    pub(super) fn at(mut self, found: impl FnOnce(&str) -> Place) -> Self {
+    pub(super) fn at(mut self, found: impl FnOnce(&str) -> WrittenAt) -> Self {
         if let Self::UnknownKey { place, key, .. } | Self::Type { place, key, .. } | Self::Value { place, key, .. } =
             &mut self
-            && *place == Place::Nowhere
+            && *place == WrittenAt::Nowhere
         {
             *place = found(key);
         }

@@ -2,10 +2,9 @@
 
 use loopbound_model::quote;
 
+use super::key::{Limit, key, section};
 use super::units::{Nanos, parse_duration};
-use serde::de::{Error as _, MapAccess, Visitor};
-use serde::ser::SerializeMap;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
@@ -146,20 +145,22 @@ impl FromStr for Expectation {
     }
 }
 
-/// `[expect]`.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ExpectSection {
-    /// An undecided run is prolonged up to this; default three times the run's duration.
-    pub max_duration: Option<Nanos>,
-    /// Confidence of the limits by which quantiles are judged.
-    pub confidence: f64,
-    /// All must hold; sorted by key.
-    pub conditions: Vec<Expectation>,
-}
+/// Both limits excluded: at one half nothing is known, and at 1 nothing is ever certain.
+const CONFIDENCE: Limit = Limit::range(0.5, 1.0, "between 0.5 and 1, both excluded").without_least().without_most();
 
-impl Default for ExpectSection {
-    fn default() -> Self {
-        Self { max_duration: None, confidence: 0.99, conditions: Vec::new() }
+section! {
+    /// What the run must show: keys of the summary with a condition, or a list of conditions.
+    #[serde(default, expecting = "a table of summary keys with comparisons such as \"<= 50us\"")]
+    pub struct ExpectSection {
+        /// An undecided run is prolonged up to this.
+        max_duration: Option<Nanos> = None, resolved |s, _| Some(Nanos(s.max_duration_ns()))
+            => key().otherwise("three times the duration");
+        /// Confidence of the limits by which a quantile passes or fails.
+        confidence: f64 = 0.99 => key().within(CONFIDENCE);
+        /// The conditions; all must hold. Sorted by key.
+        #[serde(flatten, with = "conditions")]
+        conditions: Vec<Expectation> = Vec::new()
+            => key().example("\"round_trip.p99\" = [\"<= 200us\", \"<= 10 floor\"]\n\"missed_ticks\" = \"== 0\"");
     }
 }
 
@@ -174,12 +175,41 @@ enum Written {
     Table(BTreeMap<String, Written>),
 }
 
-impl ExpectSection {
+/// The conditions of a table: any key, with what may stand behind it.
+mod conditions {
+    use super::{BTreeMap, Expectation, Written, parse_condition};
+    use serde::de::{Error as _, MapAccess, Visitor};
+    use serde::{Deserializer, Serialize as _, Serializer};
+    use std::fmt;
+
+    struct Conditions;
+
+    impl<'de> Visitor<'de> for Conditions {
+        type Value = Vec<Expectation>;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("a table of summary keys with comparisons such as \"<= 50us\"")
+        }
+
+        fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+            let mut found = Vec::new();
+            while let Some(key) = map.next_key::<String>()? {
+                let written: Written = map.next_value().map_err(|_| {
+                    A::Error::custom(format!("`{key}`: allowed: a comparison such as \"<= 50us\", or a list of them"))
+                })?;
+                add(&mut found, &key, &written).map_err(A::Error::custom)?;
+            }
+            // A stable sort: conditions of one key keep the order of the file.
+            found.sort_by(|a: &Expectation, b| a.key.cmp(&b.key));
+            Ok(found)
+        }
+    }
+
     /// Adds what is written behind `key`, which may be a tree.
-    fn add(&mut self, key: &str, written: &Written) -> Result<(), String> {
+    fn add(found: &mut Vec<Expectation>, key: &str, written: &Written) -> Result<(), String> {
         let mut push = |text: &str| {
             let (comparator, budget) = parse_condition(text).map_err(|message| format!("`{key}`: {message}"))?;
-            self.conditions.push(Expectation { key: key.to_owned(), comparator, budget });
+            found.push(Expectation { key: key.to_owned(), comparator, budget });
             Ok(())
         };
         match written {
@@ -188,63 +218,20 @@ impl ExpectSection {
             Written::Text(text) => push(text),
             Written::List(texts) => texts.iter().try_for_each(|text| push(text)),
             Written::Table(table) => {
-                table.iter().try_for_each(|(part, written)| self.add(&format!("{key}.{part}"), written))
+                table.iter().try_for_each(|(part, written)| add(found, &format!("{key}.{part}"), written))
             }
         }
     }
-}
 
-struct ExpectVisitor;
-
-impl<'de> Visitor<'de> for ExpectVisitor {
-    type Value = ExpectSection;
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a table of summary keys with comparisons such as \"<= 50us\"")
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Expectation>, D::Error> {
+        deserializer.deserialize_map(Conditions)
     }
 
-    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<ExpectSection, A::Error> {
-        let mut section = ExpectSection::default();
-        while let Some(key) = map.next_key::<String>()? {
-            match key.as_str() {
-                "max_duration" => section.max_duration = Some(map.next_value()?),
-                "confidence" => section.confidence = map.next_value()?,
-                _ => {
-                    let written: Written = map.next_value().map_err(|_| {
-                        A::Error::custom(format!(
-                            "`{key}`: allowed: a comparison such as \"<= 50us\", or a list of them"
-                        ))
-                    })?;
-                    section.add(&key, &written).map_err(A::Error::custom)?;
-                }
-            }
-        }
-        // A stable sort: conditions of one key keep the order of the file.
-        section.conditions.sort_by(|a, b| a.key.cmp(&b.key));
-        Ok(section)
-    }
-}
-
-impl<'de> Deserialize<'de> for ExpectSection {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_map(ExpectVisitor)
-    }
-}
-
-impl Serialize for ExpectSection {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut map = serializer.serialize_map(None)?;
-        if let Some(max_duration) = self.max_duration {
-            map.serialize_entry("max_duration", &max_duration)?;
-        }
-        map.serialize_entry("confidence", &self.confidence)?;
+    pub(super) fn serialize<S: Serializer>(conditions: &[Expectation], serializer: S) -> Result<S::Ok, S::Error> {
         let mut by_key: BTreeMap<&str, Vec<String>> = BTreeMap::new();
-        for Expectation { key, comparator, budget } in &self.conditions {
+        for Expectation { key, comparator, budget } in conditions {
             by_key.entry(key).or_default().push(format!("{comparator} {budget}"));
         }
-        for (key, conditions) in by_key {
-            map.serialize_entry(key, &conditions)?;
-        }
-        map.end()
+        by_key.serialize(serializer)
     }
 }

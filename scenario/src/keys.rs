@@ -1,125 +1,26 @@
-//! The table of all keys, and the search for a key that is not in it.
+//! The search for a key that is not declared.
 
-use super::error::{Place, ScenarioError};
+use super::error::{ScenarioError, WrittenAt};
+use super::key::Placed;
 use loopbound_model::quote::nearest;
 use std::collections::BTreeMap;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// Every section with its keys; `[]` stands for the index in a list of tables. `expect` is open.
-pub(super) const SECTIONS: &[(&str, &[&str])] = &[
-    (
-        "loop",
-        &["rate", "duration", "mode", "wakeup", "grace", "lead", "phase", "late", "settle", "start_up", "max_step"],
-    ),
-    (
-        "plant",
-        &[
-            "links",
-            "mass",
-            "length",
-            "inertia",
-            "gravity",
-            "a",
-            "b",
-            "mass_error",
-            "start_q_rad",
-            "start_v_rad_s",
-            "torque_limit_nm",
-            "speed_limit",
-            "actuation_delay",
-            "seed",
-        ],
-    ),
-    ("plant.friction", &["viscous_nm_s", "coulomb_nm"]),
-    ("plant.noise", &["q_rad", "v_rad_s", "quantum_q_rad", "quantum_v_rad_s"]),
-    (
-        "plant.disturbance[]",
-        &["kind", "value_nm", "amplitude_nm", "omega_rad_s", "phase_rad", "at", "rms_nm", "low_hz", "high_hz"],
-    ),
-    ("controller", &["law", "exe", "standby"]),
-    ("controller.gains", &["beta", "k2", "k3", "c1", "level", "kp", "kd", "k_t", "analyst_beta", "shared_v"]),
-    ("controller.model", &["mass", "length", "inertia", "gravity", "a", "b"]),
-    ("controller.uncertainty", &["mass", "disturbance_nm"]),
-    (
-        "reference",
-        &[
-            "kind",
-            "lead",
-            "amplitude_rad",
-            "omega_rad_s",
-            "offset_rad",
-            "from_rad",
-            "to_rad",
-            "at",
-            "duration",
-            "omega_start_rad_s",
-            "omega_end_rad_s",
-            "centre_m",
-            "radius_m",
-            "phase_rad",
-            "elbow_positive",
-            "file",
-        ],
-    ),
-    ("reference.term[]", &["amplitude_rad", "omega_rad_s", "phase_rad"]),
-    ("realtime", &["priority", "cores", "lock_memory", "dma_latency"]),
-    ("supervisor", &["controller", "reference", "monitor", "plant", "back_off", "back_off_max", "restarts_max"]),
-    (
-        "swap_gate",
-        &[
-            "consecutive",
-            "torque_step_nm",
-            "dwell",
-            "blend",
-            "timeout",
-            "rollback_misses",
-            "rollback_window",
-            "rollback_for",
-            "retire_after",
-        ],
-    ),
-    ("monitor", &["poll", "finalise", "trace"]),
-    ("swap[]", &["at", "law", "exe", "to", "blend", "force"]),
-    (
-        "fault[]",
-        &[
-            "kind",
-            "target",
-            "at",
-            "for",
-            "every",
-            "probability",
-            "delay",
-            "delay_max",
-            "distribution",
-            "shape",
-            "value_nm",
-            "joint",
-            "step",
-            "seed",
-        ],
-    ),
-    ("expect", &["max_duration", "confidence"]),
-];
-
-/// Every key as a dotted pattern.
+/// Every key as a dotted pattern; `[]` stands for the index in a list of tables.
 pub(super) fn known_keys() -> impl Iterator<Item = String> {
-    SECTIONS.iter().flat_map(|(section, keys)| keys.iter().map(move |key| format!("{section}.{key}")))
+    let of = |placed: Placed| placed.section.own_keys().map(move |key| format!("{}.{}", placed.path, key.name));
+    Placed::all().into_iter().flat_map(of)
 }
 
 /// Whether a dotted pattern is a key, a section, or leads to one.
 fn is_known(pattern: &str) -> bool {
-    pattern.starts_with("expect.")
-        || SECTIONS.iter().any(|(section, keys)| {
-            let below = |longer: &str| longer.strip_prefix(pattern).is_some_and(|rest| rest.starts_with(['.', '[']));
-            *section == pattern
-                || below(section)
-                || pattern
-                    .strip_prefix(section)
-                    .and_then(|rest| rest.strip_prefix('.'))
-                    .is_some_and(|key| keys.contains(&key))
-        })
+    Placed::all().iter().any(|Placed { path, section }| {
+        let below = |longer: &str| longer.strip_prefix(pattern).is_some_and(|rest| rest.starts_with(['.', '[']));
+        let key = pattern.strip_prefix(path.as_str()).and_then(|rest| rest.strip_prefix('.'));
+        let is_key = |key: &str| section.keys.iter().any(|known| known.is_open() || known.name == key);
+        path == pattern || below(path) || key.is_some_and(is_key)
+    })
 }
 
 /// The first unknown key (`path`, written as the pattern `pattern`) as an error without a place.
@@ -129,7 +30,7 @@ fn unknown(path: &str, pattern: &str) -> ScenarioError {
     let leaf = pattern.rsplit('.').next().unwrap_or(pattern);
     let same_leaf = known.iter().find(|key| key.rsplit('.').next() == Some(leaf)).map(String::as_str);
     let near = nearest(pattern, known.iter().map(String::as_str)).or(same_leaf);
-    ScenarioError::UnknownKey { place: Place::Nowhere, key: path.to_owned(), nearest: near.map(str::to_owned) }
+    ScenarioError::UnknownKey { place: WrittenAt::Nowhere, key: path.to_owned(), nearest: near.map(str::to_owned) }
 }
 
 /// Where each key stands in a text, and the unknown ones in the order of the text.

@@ -7,8 +7,10 @@
 
 pub mod controllers;
 pub mod input;
+pub mod key;
 pub mod system;
 
+mod annotated;
 mod build;
 mod error;
 mod expect;
@@ -20,21 +22,22 @@ mod notes;
 mod physics;
 mod reference;
 mod resolve;
+mod schema;
 mod sections;
 mod units;
 mod validate;
 mod values;
 
-pub use error::{Place, ScenarioError};
+pub use error::{ScenarioError, WrittenAt};
 pub use expect::{Budget, Comparator, ExpectSection, Expectation, parse_condition};
-pub use load::Origin;
+pub use load::Source;
 pub use named_file::NamedFile;
 pub use names::{Distribution, DisturbanceKind, FaultKind, Mode, ReferenceKind, Restart, Role, Wakeup};
 pub use physics::{
     ChainSpec, ControllerSection, DisturbanceSpec, DisturbanceTerm, FrictionSection, GainsSection, ModelSection,
     NoiseSection, PlantSection, UncertaintySection,
 };
-pub use reference::{Motion, ReferenceSection, SineTerm};
+pub use reference::{Motion, ReferenceSection, ReferenceTerm};
 pub use sections::{
     FaultSpec, LoopSection, MonitorSection, RealtimeSection, SupervisorSection, SwapGateSection, SwapSpec,
 };
@@ -45,7 +48,7 @@ pub use values::{Cores, PerLink, SignedNanos, Target, When};
 
 pub use validate::check_group_name;
 
-use serde::{Deserialize, Serialize};
+use key::{key, section};
 
 /// Exponent of heavy-tailed delays where none is given: a finite mean, an infinite variance.
 pub const PARETO_SHAPE_DEFAULT: f64 = 1.5;
@@ -64,36 +67,41 @@ pub const ROLLBACK_WINDOW_MAX: u32 = 1024;
 pub const POLL_TICKS_MAX: u64 = 1000;
 /// See [`POLL_TICKS_MAX`].
 pub const POLL_NS_MAX: u64 = 1_000_000_000;
-/// Ticks kept on either side of a change of the controller in charge.
+/// Ticks kept on either side of a change of the active controller.
 pub const TRACE_TICKS_MAX: u32 = 65_536;
+/// Scheduled swaps, all of which the plant is told before it starts.
+const SWAPS_MAX: usize = 64;
+/// Injected faults, which every process looks through every tick.
+const FAULTS_MAX: usize = 1000;
 
-/// Everything that decides a run. Every key has a default; together they are the paper's case.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields, expecting = "a table")]
-pub struct Scenario {
-    /// The time grid.
-    #[serde(rename = "loop")]
-    pub loop_: LoopSection,
-    /// The true chain.
-    pub plant: PlantSection,
-    /// The controller.
-    pub controller: ControllerSection,
-    /// The motion to be followed.
-    pub reference: ReferenceSection,
-    /// What is asked of the kernel.
-    pub realtime: RealtimeSection,
-    /// What becomes of dead roles.
-    pub supervisor: SupervisorSection,
-    /// What a new controller must show.
-    pub swap_gate: SwapGateSection,
-    /// How the group is watched.
-    pub monitor: MonitorSection,
-    /// Scheduled swaps.
-    pub swap: Vec<SwapSpec>,
-    /// What goes wrong on purpose.
-    pub fault: Vec<FaultSpec>,
-    /// What the run must show.
-    pub expect: ExpectSection,
+section! {
+    /// Everything that decides a run. Every key has a default; together they are the paper's case.
+    #[serde(default, deny_unknown_fields, expecting = "a table")]
+    pub struct Scenario {
+        /// The time grid.
+        #[serde(rename = "loop")]
+        loop_: LoopSection = LoopSection::default() => key();
+        /// The true chain.
+        plant: PlantSection = PlantSection::default() => key();
+        /// The controllers.
+        controller: ControllerSection = ControllerSection::default() => key();
+        /// The motion to be followed.
+        reference: ReferenceSection = ReferenceSection::default() => key();
+        /// What is asked of the kernel.
+        realtime: RealtimeSection = RealtimeSection::default() => key();
+        /// What the supervisor does about processes that died.
+        supervisor: SupervisorSection = SupervisorSection::default() => key();
+        /// What a new controller must show.
+        swap_gate: SwapGateSection = SwapGateSection::default() => key();
+        /// How the group is watched.
+        monitor: MonitorSection = MonitorSection::default() => key();
+        /// Scheduled swaps.
+        swap: Vec<SwapSpec> = Vec::new() => key().at_most(SWAPS_MAX);
+        /// Injected faults.
+        fault: Vec<FaultSpec> = Vec::new() => key().at_most(FAULTS_MAX);
+        /// What the run must show.
+        expect: ExpectSection = ExpectSection::default() => key();
+    }
 }
 
 impl Scenario {

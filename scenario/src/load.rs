@@ -1,7 +1,7 @@
 //! From text to a scenario: files, assignments of the command line, and the way back to text.
 
 use super::Scenario;
-use super::error::{Place, ScenarioError};
+use super::error::{ScenarioError, WrittenAt};
 use super::keys::{KeyMap, check_assigned};
 use crate::input::{self, SCENARIO_BYTES_MAX};
 use loopbound_model::quote;
@@ -24,8 +24,8 @@ impl Scenario {
     ///
     /// # Errors
     /// Those of [`Self::load`] and of [`Self::with_sets`].
-    pub fn read<S: AsRef<str>>(path: Option<&Path>, assignments: &[S]) -> Result<(Self, Origin), ScenarioError> {
-        let mut origin = Origin::default();
+    pub fn read<S: AsRef<str>>(path: Option<&Path>, assignments: &[S]) -> Result<(Self, Source), ScenarioError> {
+        let mut origin = Source::default();
         let mut scenario = Self::default();
         if let Some(path) = path {
             let text = input::read_text(path, SCENARIO_BYTES_MAX)
@@ -46,7 +46,7 @@ impl Scenario {
     /// The first fault, in one line with its place: syntax, unknown keys, types, then values out of their limits.
     pub fn from_toml(text: &str, origin: &str) -> Result<Self, ScenarioError> {
         let (table, keys) = parse(text, origin)?;
-        let place = |key: &str| keys.offset(key).map_or(Place::Nowhere, |offset| place_of(text, origin, offset));
+        let place = |key: &str| keys.offset(key).map_or(WrittenAt::Nowhere, |offset| place_of(text, origin, offset));
         if let Some((offset, error)) = keys.first_unknown() {
             return Err(error.at(|_| place_of(text, origin, offset)));
         }
@@ -84,7 +84,7 @@ impl Scenario {
                 |message: &str| ScenarioError::Set { assignment: assignment.to_owned(), message: message.to_owned() };
             let (key, value) = assignment.split_once('=').ok_or_else(|| malformed("allowed: KEY=VALUE"))?;
             let segments = segments_of(key.trim()).ok_or_else(|| malformed("the key is not a dotted key"))?;
-            check_assigned(&segments).map_err(|error| error.at(|_| Place::Set(assignment.to_owned())))?;
+            check_assigned(&segments).map_err(|error| error.at(|_| WrittenAt::Set(assignment.to_owned())))?;
             assign(&mut table, &segments, parse_value(value.trim())).map_err(malformed)?;
             set.push((dotted(&segments), assignment.to_owned()));
         }
@@ -134,7 +134,7 @@ impl super::ExpectSection {
     /// Syntax, or a condition that cannot be understood.
     pub fn from_toml(text: &str, origin: &str) -> Result<Self, ScenarioError> {
         let (mut table, keys) = parse(text, origin)?;
-        let place = |key: &str| keys.offset(key).map_or(Place::Nowhere, |offset| place_of(text, origin, offset));
+        let place = |key: &str| keys.offset(key).map_or(WrittenAt::Nowhere, |offset| place_of(text, origin, offset));
         let inner = table.remove("expect");
         let (table, prefix) = match inner {
             Some(Value::Table(inner)) => (inner, "expect."),
@@ -159,30 +159,30 @@ impl super::ExpectSection {
 type Assigned = (String, String);
 
 /// The last assignment that reaches the key, or a part of it, is the one to blame.
-fn place_of_assignment(set: &[Assigned], key: &str) -> Place {
+fn place_of_assignment(set: &[Assigned], key: &str) -> WrittenAt {
     let reaches = |set: &str| key == set || key.strip_prefix(set).is_some_and(|rest| rest.starts_with(['.', '[']));
     let last = set.iter().rev().find(|(path, _)| reaches(path) || path.starts_with(key));
-    last.map_or(Place::Nowhere, |(_, assignment)| Place::Set(assignment.clone()))
+    last.map_or(WrittenAt::Nowhere, |(_, assignment)| WrittenAt::Set(assignment.clone()))
 }
 
 /// Where the keys of a scenario were written: a file, and what the command line set.
 #[derive(Clone, Debug, Default)]
-pub struct Origin {
+pub struct Source {
     /// Text and name of the file.
     file: Option<(String, String)>,
     set: Vec<Assigned>,
 }
 
-impl Origin {
+impl Source {
     /// The same error with the place of its key, if it has none yet and the key was written anywhere.
     #[must_use]
     pub fn locate(&self, error: ScenarioError) -> ScenarioError {
         error.at(|key| {
             let set = place_of_assignment(&self.set, key);
             match &self.file {
-                Some((text, origin)) if set == Place::Nowhere => {
+                Some((text, origin)) if set == WrittenAt::Nowhere => {
                     let keys = parse(text, origin).map(|(_, keys)| keys).unwrap_or_default();
-                    keys.offset(key).map_or(Place::Nowhere, |offset| place_of(text, origin, offset))
+                    keys.offset(key).map_or(WrittenAt::Nowhere, |offset| place_of(text, origin, offset))
                 }
                 _ => set,
             }
@@ -202,11 +202,11 @@ fn parse(text: &str, origin: &str) -> Result<(Table, KeyMap), ScenarioError> {
 }
 
 /// Line and column, counted from 1, of a byte offset.
-fn place_of(text: &str, origin: &str, offset: usize) -> Place {
+fn place_of(text: &str, origin: &str, offset: usize) -> WrittenAt {
     let before = text.get(..offset).unwrap_or(text);
     let line_start = before.rfind('\n').map_or(0, |newline| newline + 1);
     let line = before.matches('\n').count() + 1;
-    Place::File { origin: origin.to_owned(), line, column: before[line_start..].chars().count() + 1 }
+    WrittenAt::File { origin: origin.to_owned(), line, column: before[line_start..].chars().count() + 1 }
 }
 
 /// The typed form of a table; errors carry the dotted key.
@@ -215,7 +215,7 @@ fn typed<T: DeserializeOwned>(table: Table) -> Result<T, ScenarioError> {
         let path = error.path().to_string();
         let message = error.into_inner().message().to_owned();
         let (key, message) = blame(&path, &message);
-        ScenarioError::Type { place: Place::Nowhere, key, message }
+        ScenarioError::Type { place: WrittenAt::Nowhere, key, message }
     })
 }
 

@@ -58,6 +58,14 @@ macro_rules! keywords {
             }
         }
 
+        impl crate::key::Value for $name {
+            const KIND: crate::key::Kind = crate::key::Kind::Words(|| vec![$($word),+]);
+
+            fn presence(&self) -> crate::key::Presence {
+                crate::key::Presence::Word(self.name())
+            }
+        }
+
         impl Serialize for $name {
             fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
                 serializer.serialize_str(self.name())
@@ -135,7 +143,7 @@ keywords! {
         Reference = "reference",
         /// Answers states with torques.
         Controller = "controller",
-        /// Integrates the chain and decides who is obeyed.
+        /// Integrates the chain, and decides whose torque it applies.
         Plant = "plant",
         /// Watches.
         Monitor = "monitor",
@@ -155,7 +163,7 @@ keywords! {
 }
 
 keywords! {
-    /// What goes wrong on purpose.
+    /// The kinds of injected faults.
     FaultKind {
         /// The process is killed.
         Kill = "kill",

@@ -1,10 +1,10 @@
 //! The sections of a scenario about what is controlled and by what: the plant, the controller's gains and its model.
 
+use super::key::{FINITE, Limit, NOT_NEGATIVE, POSITIVE, POSITIVE_OR_INF, key, section};
 use super::names::DisturbanceKind;
 use super::units::Nanos;
 use super::values::PerLink;
 use loopbound_model::law::LawKind;
-use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
 /// The paper's start, off a reference that begins at zero (rad); longer chains repeat it.
@@ -14,68 +14,69 @@ const START_Q_RAD: [f64; 3] = [0.3, -0.2, 0.25];
 /// the studies' sound loops stay below 3 rad/s, and a loop that is lost passes it within milliseconds.
 const SPEED_LIMIT_RAD_S: f64 = 100.0;
 
-/// `[plant]`: the true chain, its start, and what is not ideal about it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields, expecting = "a table")]
-pub struct PlantSection {
-    /// Number of links; default the length of the first list given, else 3.
-    pub links: Option<usize>,
-    /// Link masses as the drawings have them (kg); default 1.
-    pub mass: Option<PerLink>,
-    /// Link lengths (m); default 1.
-    pub length: Option<PerLink>,
-    /// Inertias about the centres of mass (kg·m²); default m l²/12, a uniform rod.
-    pub inertia: Option<PerLink>,
-    /// Gravity (m/s²).
-    pub gravity: f64,
-    /// Rows of a_ij (kg·m²), instead of masses and lengths.
-    pub a: Option<Vec<Vec<f64>>>,
-    /// b_i (N·m), together with `a`.
-    pub b: Option<Vec<f64>>,
-    /// Relative error s of the masses and, in proportion, the inertias: the true mass is `mass`·(1 + s), while the
-    /// controller's model keeps `mass`; default 0.
-    pub mass_error: Option<PerLink>,
-    /// Angles at the start (rad).
-    pub start_q_rad: Option<PerLink>,
-    /// Velocities at the start (rad/s); default 0.
-    pub start_v_rad_s: Option<PerLink>,
-    /// Largest torque of each link (N·m); default no limit.
-    pub torque_limit_nm: Option<PerLink>,
-    /// Speed of a joint (rad/s) above which the plant stops for good and the run has diverged; infinite: none.
-    pub speed_limit: f64,
-    /// From the acceptance of a torque to its action.
-    pub actuation_delay: Nanos,
-    /// Friction.
-    pub friction: FrictionSection,
-    /// Imperfect measurement.
-    pub noise: NoiseSection,
-    /// Disturbance torques, added up.
-    pub disturbance: Vec<DisturbanceSpec>,
-    /// Seed of noise and disturbances.
-    pub seed: u64,
-}
+/// Torques of disturbance, which are added up every tick.
+const DISTURBANCES_MAX: usize = 100;
 
-impl Default for PlantSection {
-    fn default() -> Self {
-        Self {
-            links: None,
-            mass: None,
-            length: None,
-            inertia: None,
-            gravity: 9.81,
-            a: None,
-            b: None,
-            mass_error: None,
-            start_q_rad: None,
-            start_v_rad_s: None,
-            torque_limit_nm: None,
-            speed_limit: SPEED_LIMIT_RAD_S,
-            actuation_delay: Nanos(0),
-            friction: FrictionSection::default(),
-            noise: NoiseSection::default(),
-            disturbance: Vec::new(),
-            seed: 1,
-        }
+const MASS_ERROR: Limit =
+    Limit::range(-1.0, 1e6, "above -1 (the mass stays positive), at most 1e6").without_least().brief("above -1");
+/// As many as the wire has publishers for, less the active controller and one that comes in by a swap.
+const STANDBYS: Limit = Limit::range(0.0, 6.0, "0 to 6");
+const BELOW_ONE: Limit = Limit::range(0.0, 1.0, "0 to below 1").without_most();
+
+/// The matrix and the vector of a chain as examples.
+const EXAMPLE_A: &str = "[[2.3333, 1.5, 0.5], [1.5, 1.3333, 0.5], [0.5, 0.5, 0.3333]]";
+const EXAMPLE_B: &str = "[24.525, 14.715, 4.905]";
+
+section! {
+    /// The chain as it really is: give either `a` and `b`, or masses, lengths and inertias.
+    #[serde(default, deny_unknown_fields, expecting = "a table")]
+    pub struct PlantSection {
+        /// Number of links, 1 to 7.
+        links: Option<usize> = None, resolved |s, _| Some(s.links())
+            => key().otherwise("the length of the first list given, else 3");
+        /// Link masses, as the drawings have them.
+        mass: Option<PerLink> = None, resolved |s, _| s.plant_without_error().mass()
+            => key().unit("kg").within(POSITIVE).otherwise("`1`");
+        /// Link lengths.
+        length: Option<PerLink> = None, resolved |s, _| s.plant_without_error().length()
+            => key().unit("m").within(POSITIVE).otherwise("`1`");
+        /// Inertias about the centres of mass. The default is a uniform rod.
+        inertia: Option<PerLink> = None, resolved |s, _| s.plant_without_error().inertia()
+            => key().unit("kg·m²").within(NOT_NEGATIVE).otherwise("m l²/12");
+        /// Gravity.
+        gravity: f64 = 9.81 => key().unit("m/s²").within(FINITE);
+        /// Coefficients a_ij, symmetric and positive definite; with `b`.
+        a: Option<Vec<Vec<f64>>> = None
+            => key().unit("kg·m²").within(FINITE).otherwise("from mass, length, inertia").example(EXAMPLE_A);
+        /// Coefficients b_i; with `a`.
+        b: Option<Vec<f64>> = None
+            => key().unit("N·m").within(FINITE).otherwise("from mass, length, gravity").example(EXAMPLE_B);
+        /// Relative error s of masses and inertias. The true masses are mass (1 + s), while the model of the controller keeps mass.
+        mass_error: Option<PerLink> = None, resolved |s, own| own.a.is_none().then(|| PerLink::Each(s.plant.mass_error()))
+            => key().within(MASS_ERROR).otherwise("`0`");
+        /// Angles at the start. Longer chains repeat the default.
+        start_q_rad: Option<PerLink> = None, resolved |s, _| Some(PerLink::Each(s.plant.start_q_rad()))
+            => key().unit("rad").within(FINITE).otherwise("`[0.3, -0.2, 0.25]`");
+        /// Velocities at the start.
+        start_v_rad_s: Option<PerLink> = None, resolved |s, _| Some(PerLink::Each(s.plant.start_v_rad_s()))
+            => key().unit("rad/s").within(FINITE).otherwise("`0`");
+        /// Largest torque of each link.
+        torque_limit_nm: Option<PerLink> = None, resolved |s, _| Some(PerLink::Each(s.plant.torque_limit_nm()))
+            => key().unit("N·m").within(POSITIVE_OR_INF).otherwise("`inf`");
+        /// Speed of a joint beyond which the run has diverged and the plant stops for good. The speed of a joint is the difference of its
+        /// links' speeds; a state that is not finite is beyond it, too. The default is 16 turns a second; the joints of the shipped
+        /// scenarios stay below 3 rad/s.
+        speed_limit: f64 = SPEED_LIMIT_RAD_S => key().unit("rad/s").within(POSITIVE_OR_INF);
+        /// Time from the acceptance of a torque to its action. At most 2048 periods.
+        actuation_delay: Nanos = Nanos(0) => key();
+        /// Friction.
+        friction: FrictionSection = FrictionSection::default() => key();
+        /// Imperfect measurement.
+        noise: NoiseSection = NoiseSection::default() => key();
+        /// Disturbance torques, added up.
+        disturbance: Vec<DisturbanceSpec> = Vec::new() => key().at_most(DISTURBANCES_MAX);
+        /// Seed of noise and disturbances.
+        seed: u64 = 1 => key();
     }
 }
 
@@ -131,66 +132,57 @@ impl PlantSection {
     }
 }
 
-/// `[plant.friction]`, one value a link.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields, expecting = "a table")]
-pub struct FrictionSection {
-    /// Proportional to the velocity (N·m·s).
-    pub viscous_nm_s: PerLink,
-    /// Against the direction of motion (N·m).
-    pub coulomb_nm: PerLink,
-}
-
-impl Default for FrictionSection {
-    fn default() -> Self {
-        Self { viscous_nm_s: PerLink::All(0.0), coulomb_nm: PerLink::All(0.0) }
+section! {
+    /// Friction in the joints.
+    #[serde(default, deny_unknown_fields, expecting = "a table")]
+    pub struct FrictionSection {
+        /// Proportional to the velocity.
+        viscous_nm_s: PerLink = PerLink::All(0.0), resolved |s, _| PerLink::Each(s.plant.viscous_nm_s())
+            => key().unit("N·m·s").within(NOT_NEGATIVE);
+        /// Against the direction of motion.
+        coulomb_nm: PerLink = PerLink::All(0.0), resolved |s, _| PerLink::Each(s.plant.coulomb_nm())
+            => key().unit("N·m").within(NOT_NEGATIVE);
     }
 }
 
-/// `[plant.noise]`: standard deviations and resolutions of the measurement; zero is perfect.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields, expecting = "a table")]
-pub struct NoiseSection {
-    /// Standard deviation of angles (rad).
-    pub q_rad: f64,
-    /// Standard deviation of velocities (rad/s).
-    pub v_rad_s: f64,
-    /// Resolution of angles (rad).
-    pub quantum_q_rad: f64,
-    /// Resolution of velocities (rad/s).
-    pub quantum_v_rad_s: f64,
+section! {
+    /// Noise of the measurement; zero is perfect.
+    #[serde(default, deny_unknown_fields, expecting = "a table")]
+    pub struct NoiseSection {
+        /// Standard deviation of angles.
+        q_rad: f64 = 0.0 => key().unit("rad").within(NOT_NEGATIVE);
+        /// Standard deviation of velocities.
+        v_rad_s: f64 = 0.0 => key().unit("rad/s").within(NOT_NEGATIVE);
+        /// Resolution of angles.
+        quantum_q_rad: f64 = 0.0 => key().unit("rad").within(NOT_NEGATIVE);
+        /// Resolution of velocities.
+        quantum_v_rad_s: f64 = 0.0 => key().unit("rad/s").within(NOT_NEGATIVE);
+    }
 }
 
-/// `[[plant.disturbance]]`: one torque that acts on the links beside the controller's.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, expecting = "a table")]
-pub struct DisturbanceSpec {
-    /// Its shape.
-    pub kind: DisturbanceKind,
-    /// Size of a constant or a step (N·m).
-    #[serde(default)]
-    pub value_nm: Option<PerLink>,
-    /// Amplitude of a sine (N·m).
-    #[serde(default)]
-    pub amplitude_nm: Option<PerLink>,
-    /// Angular frequency of a sine (rad/s).
-    #[serde(default)]
-    pub omega_rad_s: Option<PerLink>,
-    /// Phase of a sine (rad); default 0.
-    #[serde(default)]
-    pub phase_rad: Option<PerLink>,
-    /// Beginning of a step.
-    #[serde(default)]
-    pub at: Option<Nanos>,
-    /// Root mean square of noise (N·m).
-    #[serde(default)]
-    pub rms_nm: Option<PerLink>,
-    /// Lower edge of the band of noise (Hz).
-    #[serde(default)]
-    pub low_hz: Option<f64>,
-    /// Upper edge of the band of noise (Hz).
-    #[serde(default)]
-    pub high_hz: Option<f64>,
+section! {
+    /// A torque that acts in addition to the controller's; any number of them add up.
+    #[serde(deny_unknown_fields, expecting = "a table")]
+    pub struct DisturbanceSpec {
+        /// Its shape.
+        kind: DisturbanceKind => key().needed().example("\"sine\"");
+        /// Torque of a constant, or of a step from `at` on.
+        value_nm: Option<PerLink> => key().unit("N·m").needed_by(&["constant", "step"]).within(FINITE).example("[1, 0, 0]");
+        /// Amplitude.
+        amplitude_nm: Option<PerLink> => key().unit("N·m").needed_by(&["sine"]).within(FINITE).example("2");
+        /// Angular frequency.
+        omega_rad_s: Option<PerLink> => key().unit("rad/s").needed_by(&["sine"]).within(FINITE).example("[3, 2, 5]");
+        /// Phase.
+        phase_rad: Option<PerLink> => key().unit("rad").of(&["sine"]).within(FINITE).otherwise("`0`").example("0");
+        /// When it begins.
+        at: Option<Nanos> => key().needed_by(&["step"]).example("\"2s\"");
+        /// Root mean square, within the band.
+        rms_nm: Option<PerLink> => key().unit("N·m").needed_by(&["noise"]).within(NOT_NEGATIVE).example("0.5");
+        /// Lower end of the band.
+        low_hz: Option<f64> => key().unit("Hz").needed_by(&["noise"]).within(NOT_NEGATIVE).example("0.5");
+        /// Upper end of the band, above the lower.
+        high_hz: Option<f64> => key().unit("Hz").needed_by(&["noise"]).within(FINITE).example("20");
+    }
 }
 
 /// One disturbance torque with every value in place, one a link.
@@ -252,109 +244,91 @@ impl DisturbanceSpec {
     }
 }
 
-/// `[controller]`: who computes the torque, with which gains and which beliefs.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields, expecting = "a table")]
-pub struct ControllerSection {
-    /// The law in charge at the start.
-    #[serde(deserialize_with = "super::names::law")]
-    pub law: LawKind,
-    /// A user's own controller instead, started as `EXE --group G --id N --scenario FILE`.
-    pub exe: Option<PathBuf>,
-    /// Number of standbys.
-    pub standby: u32,
-    /// Gains of all laws.
-    pub gains: GainsSection,
-    /// The nominal chain.
-    pub model: ModelSection,
-    /// What the certificate must allow for.
-    pub uncertainty: UncertaintySection,
-}
-
-impl Default for ControllerSection {
-    fn default() -> Self {
-        Self {
-            law: LawKind::Robust,
-            exe: None,
-            standby: 0,
-            gains: GainsSection::default(),
-            model: ModelSection::default(),
-            uncertainty: UncertaintySection::default(),
-        }
+section! {
+    /// The controllers, with their gains and their model.
+    #[serde(default, deny_unknown_fields, expecting = "a table")]
+    pub struct ControllerSection {
+        /// The law of the active controller at the start.
+        #[serde(deserialize_with = "super::names::law")]
+        law: LawKind = LawKind::Robust => key();
+        /// Your own controller, started as `EXE --group G --id N --scenario FILE --parent PID`. A script may start it, and has to wait for it;
+        /// everything else that the script starts ends with the run. See [swap.md](swap.md#your-own-controller).
+        exe: Option<PathBuf> = None => key().otherwise("none").example("\"path\"");
+        /// Standbys: controllers that compute along and take over within the same tick.
+        standby: u32 = 0 => key().within(STANDBYS);
+        /// Gains of all laws.
+        gains: GainsSection = GainsSection::default() => key();
+        /// The nominal chain.
+        model: ModelSection = ModelSection::default() => key();
+        /// What the certificate must allow for.
+        uncertainty: UncertaintySection = UncertaintySection::default() => key();
     }
 }
 
-/// `[controller.gains]`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields, expecting = "a table")]
-pub struct GainsSection {
-    /// β (1/s), of r = ė + β e.
-    pub beta: f64,
-    /// K2 (N·m·s).
-    pub k2: f64,
-    /// K3 (1/(N·m·s⁻¹)), of the robust term.
-    pub k3: f64,
-    /// C1 (N·m), the bound of the uncertainty; default 40 for `robust`, and what the certificate requires for the
-    /// other laws, which know more of the plant.
-    pub c1: Option<f64>,
-    /// c, the certified level of V.
-    pub level: f64,
-    /// K_p of `ctc` (1/s²) and `pd+g` (N·m).
-    pub kp: f64,
-    /// K_d of `ctc` (1/s) and `pd+g` (N·m·s).
-    pub kd: f64,
-    /// The total gain K_t (N·m·s) given directly; default K2 + κ + K3 C1².
-    pub k_t: Option<f64>,
-    /// β (1/s) of the analysis of `pd+g`; default found by search.
-    pub analyst_beta: Option<f64>,
-    /// Whether `robust-ff` takes the V of `robust`, so that their cross-fades are certified.
-    pub shared_v: bool,
-}
-
-impl Default for GainsSection {
-    fn default() -> Self {
-        Self {
-            beta: 5.0,
-            k2: 10.0,
-            k3: 0.04,
-            c1: None,
-            level: 6.0,
-            kp: 25.0,
-            kd: 10.0,
-            k_t: None,
-            analyst_beta: None,
-            shared_v: false,
-        }
+section! {
+    /// The gains of all laws.
+    #[serde(default, deny_unknown_fields, expecting = "a table")]
+    pub struct GainsSection {
+        /// β, of r = ė + β e.
+        beta: f64 = 5.0 => key().unit("1/s").within(POSITIVE);
+        /// K2.
+        k2: f64 = 10.0 => key().unit("N·m·s").within(POSITIVE);
+        /// K3, of the robust term.
+        k3: f64 = 0.04 => key().unit("1/(N·m·s⁻¹)").within(POSITIVE);
+        /// C1, the uncertainty bound.
+        c1: Option<f64> = None
+            => key().unit("N·m").within(POSITIVE).otherwise("40 for `robust`, what is required for the others").example("40.0");
+        /// c, the certified level: the certificate holds where V ≤ c.
+        level: f64 = 6.0 => key().within(POSITIVE);
+        /// K_p of ctc (1/s²) and pd+g (N·m).
+        kp: f64 = 25.0 => key().within(POSITIVE);
+        /// K_d of ctc (1/s) and pd+g (N·m·s).
+        kd: f64 = 10.0 => key().within(POSITIVE);
+        /// The total gain K_t, given directly.
+        k_t: Option<f64> = None
+            => key().unit("N·m·s").within(POSITIVE).otherwise("K2 + κ + K3 C1²").example("106.8");
+        /// β in the analysis of pd+g.
+        analyst_beta: Option<f64> = None
+            => key().unit("1/s").within(POSITIVE).otherwise("found by search").example("0.6");
+        /// Whether robust-ff uses the V of robust, so that cross-fades between them are certified.
+        shared_v: bool = false => key();
     }
 }
 
-/// `[controller.model]`: the chain that the controller believes in; each key defaults to the plant's, without its
-/// `mass_error`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields, expecting = "a table")]
-pub struct ModelSection {
-    /// Link masses (kg).
-    pub mass: Option<PerLink>,
-    /// Link lengths (m).
-    pub length: Option<PerLink>,
-    /// Inertias (kg·m²).
-    pub inertia: Option<PerLink>,
-    /// Gravity (m/s²).
-    pub gravity: Option<f64>,
-    /// Rows of a_ij (kg·m²), instead of masses and lengths.
-    pub a: Option<Vec<Vec<f64>>>,
-    /// b_i (N·m), together with `a`.
-    pub b: Option<Vec<f64>>,
+section! {
+    /// The controller's model of the chain; each key defaults to the plant's, without `mass_error`.
+    #[serde(default, deny_unknown_fields, expecting = "a table")]
+    pub struct ModelSection {
+        /// Link masses.
+        mass: Option<PerLink> = None, resolved |s, _| s.model_chain().mass()
+            => key().unit("kg").within(POSITIVE).otherwise("the plant's");
+        /// Link lengths.
+        length: Option<PerLink> = None, resolved |s, _| s.model_chain().length()
+            => key().unit("m").within(POSITIVE).otherwise("the plant's");
+        /// Inertias about the centres of mass.
+        inertia: Option<PerLink> = None, resolved |s, _| s.model_chain().inertia()
+            => key().unit("kg·m²").within(NOT_NEGATIVE).otherwise("the plant's");
+        /// Gravity.
+        gravity: Option<f64> = None, resolved |s, own| s.model_chain().gravity().or(own.gravity)
+            => key().unit("m/s²").within(FINITE).otherwise("the plant's");
+        /// Coefficients a_ij, instead of masses and lengths.
+        a: Option<Vec<Vec<f64>>> = None, resolved |s, _| s.model_chain().coefficients().map(|(a, _)| a)
+            => key().unit("kg·m²").within(FINITE).otherwise("the plant's").example(EXAMPLE_A);
+        /// Coefficients b_i; with `a`.
+        b: Option<Vec<f64>> = None, resolved |s, _| s.model_chain().coefficients().map(|(_, b)| b)
+            => key().unit("N·m").within(FINITE).otherwise("the plant's").example(EXAMPLE_B);
+    }
 }
 
-/// `[controller.uncertainty]`: the declared bounds that the certificate allows for.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields, expecting = "a table")]
-pub struct UncertaintySection {
-    /// μ: largest relative error of a mass, 0 to below 1.
-    pub mass: f64,
-    /// D: largest norm of the disturbance (N·m).
-    pub disturbance_nm: f64,
+section! {
+    /// What the certificate covers.
+    #[serde(default, deny_unknown_fields, expecting = "a table")]
+    pub struct UncertaintySection {
+        /// μ: largest relative error of a mass.
+        mass: f64 = 0.0 => key().within(BELOW_ONE);
+        /// D: largest norm of the disturbance.
+        disturbance_nm: f64 = 0.0 => key().unit("N·m").within(NOT_NEGATIVE);
+    }
 }
 
 /// A chain by its links or by its coefficients, every value in place.
@@ -378,4 +352,31 @@ pub enum ChainSpec {
         /// b_i (N·m).
         b: Vec<f64>,
     },
+}
+
+impl ChainSpec {
+    /// The masses as the keys have them; none beside coefficients.
+    fn mass(self) -> Option<PerLink> {
+        if let Self::Links { mass_kg, .. } = self { Some(PerLink::Each(mass_kg)) } else { None }
+    }
+
+    /// The lengths, likewise.
+    fn length(self) -> Option<PerLink> {
+        if let Self::Links { length_m, .. } = self { Some(PerLink::Each(length_m)) } else { None }
+    }
+
+    /// The inertias, likewise.
+    fn inertia(self) -> Option<PerLink> {
+        if let Self::Links { inertia_kg_m2, .. } = self { Some(PerLink::Each(inertia_kg_m2)) } else { None }
+    }
+
+    /// Gravity, likewise.
+    fn gravity(self) -> Option<f64> {
+        if let Self::Links { gravity_m_s2, .. } = self { Some(gravity_m_s2) } else { None }
+    }
+
+    /// The coefficients a and b; none beside masses and lengths.
+    fn coefficients(self) -> Option<(Vec<Vec<f64>>, Vec<f64>)> {
+        if let Self::Coefficients { a, b } = self { Some((a, b)) } else { None }
+    }
 }

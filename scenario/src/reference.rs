@@ -1,90 +1,88 @@
 //! The section of a scenario about the motion to be followed.
 
+use super::Scenario;
+use super::key::{ABOVE_ZERO, FINITE, POSITIVE, key, section};
 use super::named_file::NamedFile;
 use super::names::ReferenceKind;
 use super::units::Nanos;
 use super::values::PerLink;
-use serde::{Deserialize, Serialize};
 
-/// `[reference]`: the motion to be followed.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields, expecting = "a table")]
-pub struct ReferenceSection {
-    /// Its shape.
-    pub kind: ReferenceKind,
-    /// How far ahead setpoints are published; default the larger of 64 ticks and 20 ms.
-    pub lead: Option<Nanos>,
-    /// Amplitude of `sine` and `chirp` (rad); default 1.
-    pub amplitude_rad: Option<PerLink>,
-    /// Angular frequency of `sine` and `circle` (rad/s); default 0.1.
-    pub omega_rad_s: Option<PerLink>,
-    /// The sines of `multi-sine`.
-    pub term: Vec<SineTerm>,
-    /// Mean of `multi-sine` (rad); default 0.
-    pub offset_rad: Option<PerLink>,
-    /// Start of `quintic` (rad); default 0.
-    pub from_rad: Option<PerLink>,
-    /// End of `quintic` (rad).
-    pub to_rad: Option<PerLink>,
-    /// Beginning of the motion of `quintic`; default 0.
-    pub at: Option<Nanos>,
-    /// Length of the motion of `quintic`, or of the sweep of `chirp`.
-    pub duration: Option<Nanos>,
-    /// Angular frequency at the start of `chirp` (rad/s); default 0.1.
-    pub omega_start_rad_s: Option<f64>,
-    /// Angular frequency at the end of `chirp` (rad/s).
-    pub omega_end_rad_s: Option<f64>,
-    /// Centre of `circle` from the hinge, horizontal and upward (m).
-    pub centre_m: Option<[f64; 2]>,
-    /// Radius of `circle` (m).
-    pub radius_m: Option<f64>,
-    /// Place of the tip on `circle` at t = 0, from the right (rad); default 0.
-    pub phase_rad: Option<f64>,
-    /// Whether `circle` bends the chain to the larger angles of its first part; default true.
-    pub elbow_positive: Option<bool>,
-    /// CSV file of `waypoints` with columns for the time and each joint, named or in the order t_s, q1 … qn.
-    pub file: Option<NamedFile>,
-}
+/// Sines of a reference, which are added up every tick.
+const TERMS_MAX: usize = 100;
 
-impl Default for ReferenceSection {
-    fn default() -> Self {
-        Self {
-            kind: ReferenceKind::Sine,
-            lead: None,
-            amplitude_rad: None,
-            omega_rad_s: None,
-            term: Vec::new(),
-            offset_rad: None,
-            from_rad: None,
-            to_rad: None,
-            at: None,
-            duration: None,
-            omega_start_rad_s: None,
-            omega_end_rad_s: None,
-            centre_m: None,
-            radius_m: None,
-            phase_rad: None,
-            elbow_positive: None,
-            file: None,
-        }
+section! {
+    /// The motion to be followed.
+    #[serde(default, deny_unknown_fields, expecting = "a table")]
+    pub struct ReferenceSection {
+        /// Its shape.
+        kind: ReferenceKind = ReferenceKind::Sine => key();
+        /// How far ahead setpoints are published, 1 to 2000 periods.
+        lead: Option<Nanos> = None, resolved |s, _| Some(Nanos(s.setpoint_lead_ns()))
+            => key().otherwise("the larger of 64 ticks and 20 ms");
+        /// Amplitude.
+        amplitude_rad: Option<PerLink> = None, resolved |s, own| each(&own.amplitude_rad, 1.0, s)
+            => key().unit("rad").of(&["sine", "chirp"]).within(FINITE).otherwise("`1`");
+        /// Angular frequency. A circle has one number.
+        omega_rad_s: Option<PerLink> = None, resolved |s, own| own.omega(s)
+            => key().unit("rad/s").of(&["sine", "circle"]).within(FINITE).otherwise("`0.1`");
+        /// The sines of multi-sine.
+        term: Vec<ReferenceTerm> = Vec::new() => key().needed_by(&["multi-sine"]).at_most(TERMS_MAX);
+        /// Mean.
+        offset_rad: Option<PerLink> = None, resolved |s, own| each(&own.offset_rad, 0.0, s)
+            => key().unit("rad").of(&["multi-sine"]).within(FINITE).otherwise("`0`").example("0");
+        /// Start of the motion.
+        from_rad: Option<PerLink> = None, resolved |s, own| each(&own.from_rad, 0.0, s)
+            => key().unit("rad").of(&["quintic"]).within(FINITE).otherwise("`0`").example("0");
+        /// End of the motion.
+        to_rad: Option<PerLink> = None => key().unit("rad").needed_by(&["quintic"]).within(FINITE).example("[1, 0.5, 0]");
+        /// When the motion begins.
+        at: Option<Nanos> = None, resolved |_, own| Some(own.at.unwrap_or_default())
+            => key().of(&["quintic"]).otherwise("`\"0s\"`").example("\"0s\"");
+        /// Length of the motion, or of the rise in frequency.
+        duration: Option<Nanos> = None
+            => key().needed_by(&["quintic", "chirp"]).within(ABOVE_ZERO).example("\"5s\"");
+        /// Angular frequency at the start.
+        omega_start_rad_s: Option<f64> = None, resolved |_, own| Some(own.omega_start_rad_s.unwrap_or(0.1))
+            => key().unit("rad/s").of(&["chirp"]).within(FINITE).otherwise("`0.1`").example("0.1");
+        /// Angular frequency at the end.
+        omega_end_rad_s: Option<f64> = None => key().unit("rad/s").needed_by(&["chirp"]).within(FINITE).example("2.0");
+        /// Centre from the hinge, horizontal and upward.
+        centre_m: Option<[f64; 2]> = None => key().unit("m").needed_by(&["circle"]).within(FINITE).example("[0.5, -1.5]");
+        /// Radius.
+        radius_m: Option<f64> = None => key().unit("m").needed_by(&["circle"]).within(POSITIVE).example("0.3");
+        /// Angle of the tip on the circle at t = 0, from the right.
+        phase_rad: Option<f64> = None, resolved |_, own| Some(own.phase_rad.unwrap_or(0.0))
+            => key().unit("rad").of(&["circle"]).within(FINITE).otherwise("`0`").example("0");
+        /// Whether the chain bends to the side where the angles of its first half are larger.
+        elbow_positive: Option<bool> = None, resolved |_, own| Some(own.elbow_positive.unwrap_or(true))
+            => key().of(&["circle"]).otherwise("`true`").example("true");
+        /// A CSV file with a column for the time and one for each joint. [Below](#the-file-of-waypoints) is what it may contain.
+        file: Option<NamedFile> = None => key().needed_by(&["waypoints"]).example("\"points.csv\"");
     }
 }
 
-/// `[[reference.term]]`: one sine of a `multi-sine`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, expecting = "a table")]
-pub struct SineTerm {
-    /// rad.
-    pub amplitude_rad: PerLink,
-    /// rad/s.
-    pub omega_rad_s: PerLink,
-    /// rad; default 0.
-    #[serde(default = "zero")]
-    pub phase_rad: PerLink,
+section! {
+    /// One sine of a multi-sine.
+    #[serde(deny_unknown_fields, expecting = "a table")]
+    pub struct ReferenceTerm {
+        /// Amplitude.
+        amplitude_rad: PerLink => key().unit("rad").within(FINITE).needed().example("0.5");
+        /// Angular frequency.
+        omega_rad_s: PerLink => key().unit("rad/s").within(FINITE).needed().example("0.3");
+        /// Phase.
+        #[serde(default = "zero")]
+        phase_rad: PerLink => key().unit("rad").within(FINITE).otherwise("`0`").example("0");
+    }
 }
 
 fn zero() -> PerLink {
     PerLink::All(0.0)
+}
+
+/// One number a link: as written, else the default.
+fn each(written: &Option<PerLink>, default: f64, scenario: &Scenario) -> Option<PerLink> {
+    let links = scenario.links();
+    Some(PerLink::Each(written.as_ref().map_or_else(|| vec![default; links], |values| values.to_vec(links))))
 }
 
 /// A reference motion with every value in place, one a link.
@@ -146,47 +144,54 @@ pub enum Motion {
     },
 }
 
-impl ReferenceSection {
-    /// The typed form for a chain of `links`; keys that the kind does not have are ignored.
+impl Scenario {
+    /// The motion to be followed, with every value in place.
     #[must_use]
-    pub fn motion(&self, links: usize) -> Motion {
-        let vector = |values: &Option<PerLink>, default: f64| {
-            values.as_ref().map_or_else(|| vec![default; links], |values| values.to_vec(links))
-        };
-        match self.kind {
-            ReferenceKind::Sine => Motion::Sine {
-                amplitude_rad: vector(&self.amplitude_rad, 1.0),
-                omega_rad_s: vector(&self.omega_rad_s, 0.1),
-            },
+    pub fn motion(&self) -> Motion {
+        let (own, links) = (self.resolved().reference, self.links());
+        // What the kind needs is there, and what it may have is resolved: nothing is left out.
+        let vector = |values: &Option<PerLink>| values.as_ref().map_or_else(Vec::new, |values| values.to_vec(links));
+        let number = Option::<f64>::unwrap_or_default;
+        match own.kind {
+            ReferenceKind::Sine => {
+                Motion::Sine { amplitude_rad: vector(&own.amplitude_rad), omega_rad_s: vector(&own.omega_rad_s) }
+            }
             ReferenceKind::MultiSine => {
-                let each = |t: &SineTerm| {
+                let sine = |t: &ReferenceTerm| {
                     (t.amplitude_rad.to_vec(links), t.omega_rad_s.to_vec(links), t.phase_rad.to_vec(links))
                 };
-                Motion::MultiSine {
-                    offset_rad: vector(&self.offset_rad, 0.0),
-                    terms: self.term.iter().map(each).collect(),
-                }
+                Motion::MultiSine { offset_rad: vector(&own.offset_rad), terms: own.term.iter().map(sine).collect() }
             }
             ReferenceKind::Quintic => Motion::Quintic {
-                from_rad: vector(&self.from_rad, 0.0),
-                to_rad: vector(&self.to_rad, 0.0),
-                at_s: self.at.unwrap_or_default().seconds(),
-                duration_s: self.duration.unwrap_or_default().seconds(),
+                from_rad: vector(&own.from_rad),
+                to_rad: vector(&own.to_rad),
+                at_s: own.at.unwrap_or_default().seconds(),
+                duration_s: own.duration.unwrap_or_default().seconds(),
             },
             ReferenceKind::Chirp => Motion::Chirp {
-                amplitude_rad: vector(&self.amplitude_rad, 1.0),
-                omega_start_rad_s: self.omega_start_rad_s.unwrap_or(0.1),
-                omega_end_rad_s: self.omega_end_rad_s.unwrap_or(0.1),
-                duration_s: self.duration.unwrap_or_default().seconds(),
+                amplitude_rad: vector(&own.amplitude_rad),
+                omega_start_rad_s: number(own.omega_start_rad_s),
+                omega_end_rad_s: number(own.omega_end_rad_s),
+                duration_s: own.duration.unwrap_or_default().seconds(),
             },
             ReferenceKind::Circle => Motion::Circle {
-                centre_m: self.centre_m.unwrap_or_default(),
-                radius_m: self.radius_m.unwrap_or(0.0),
-                omega_rad_s: self.omega_rad_s.as_ref().and_then(|w| w.written().first().copied()).unwrap_or(0.1),
-                phase_rad: self.phase_rad.unwrap_or(0.0),
-                elbow_positive: self.elbow_positive.unwrap_or(true),
+                centre_m: own.centre_m.unwrap_or_default(),
+                radius_m: number(own.radius_m),
+                omega_rad_s: own.omega_rad_s.as_ref().and_then(|w| w.written().first().copied()).unwrap_or_default(),
+                phase_rad: number(own.phase_rad),
+                elbow_positive: own.elbow_positive.unwrap_or_default(),
             },
-            ReferenceKind::Waypoints => Motion::Waypoints { file: self.file.clone().unwrap_or_default() },
+            ReferenceKind::Waypoints => Motion::Waypoints { file: own.file.unwrap_or_default() },
+        }
+    }
+}
+
+impl ReferenceSection {
+    /// The angular frequencies: one a link of a sine, one number of a circle.
+    fn omega(&self, scenario: &Scenario) -> Option<PerLink> {
+        match self.kind {
+            ReferenceKind::Circle => Some(self.omega_rad_s.clone().unwrap_or(PerLink::All(0.1))),
+            _ => each(&self.omega_rad_s, 0.1, scenario),
         }
     }
 

@@ -12,7 +12,7 @@ use loopbound_model::with_links;
 use loopbound_monitor::judge::Judge;
 use loopbound_scenario::input::WAYPOINTS_BYTES_MAX;
 use loopbound_scenario::system;
-use loopbound_scenario::{Place, Scenario, ScenarioError, WAYPOINTS_FILE};
+use loopbound_scenario::{Scenario, ScenarioError, WAYPOINTS_FILE, WrittenAt};
 use loopbound_shared::group::Group;
 
 use crate::inprocess::InProcess;
@@ -49,7 +49,7 @@ fn build<const N: usize>(scenario: &Scenario) -> Result<(), ScenarioError> {
 
 fn check_executable(key: &str, exe: &Path) -> Result<(), ScenarioError> {
     let refuse = |found: &str| ScenarioError::Value {
-        place: Place::Nowhere,
+        place: WrittenAt::Nowhere,
         key: key.to_owned(),
         found: format!("{}, {found}", quote::path(exe)),
         allowed: "an executable file".to_owned(),

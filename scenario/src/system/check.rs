@@ -4,7 +4,7 @@
 
 use crate::controllers;
 use crate::input::WAYPOINTS_BYTES_MAX;
-use crate::{Nanos, Place, ReferenceKind, Scenario, ScenarioError};
+use crate::{Nanos, ReferenceKind, Scenario, ScenarioError, WrittenAt};
 use loopbound_model::chain::Vector;
 use loopbound_model::quote;
 use loopbound_model::trajectory::{SetpointValue, Trajectory, Waypoints};
@@ -40,7 +40,7 @@ fn followed(error: ScenarioError) -> ScenarioError {
 
 fn not_finite(key: &str, what: &str) -> ScenarioError {
     let message = format!("{what} is not a finite number, allowed: smaller numbers");
-    ScenarioError::Type { place: Place::Nowhere, key: key.to_owned(), message }
+    ScenarioError::Type { place: WrittenAt::Nowhere, key: key.to_owned(), message }
 }
 
 fn check_for<const N: usize>(scenario: &Scenario) -> Result<(), ScenarioError> {
