@@ -213,6 +213,33 @@ fn the_mathematics_knows_no_operating_system() {
 }
 
 #[test]
+fn the_folders_of_the_mathematics_know_only_those_before_them() {
+    const ORDER: [&str; 3] = ["certificate", "law", "bound"];
+    for (name, code) in programs().filter(|(name, _)| !name.contains("/tests/")) {
+        let place = ORDER.iter().position(|of| {
+            name.strip_prefix("model/src/").is_some_and(|name| name.split(['/', '.']).next() == Some(of))
+        });
+        for later in place.map_or(&[][..], |place| &ORDER[place + 1..]) {
+            assert!(!has_word(&code, &format!("crate::{later}")), "{name} may not know `{later}`");
+        }
+    }
+}
+
+#[test]
+fn a_law_is_named_in_its_file_and_in_the_list_alone() {
+    // What is studied names the laws that it compares.
+    const ALLOWED: [&str; 2] = ["model/src/law.rs", "src/commands/study/cases.rs"];
+    let named = |code: &str| ["RobustFf", "Ctc", "PdG"].iter().any(|law| has_word(code, law));
+    let allowed = |name: &str| name.starts_with("model/src/law/") || ALLOWED.contains(&name);
+    let is_test = |name: &str| name.contains("/tests") || ["attack.rs", "paper.rs"].iter().any(|t| name.ends_with(t));
+    let found: Vec<String> = programs()
+        .filter(|(name, code)| !allowed(name) && !is_test(name) && named(code))
+        .map(|(name, _)| name)
+        .collect();
+    assert_eq!(found, NONE);
+}
+
+#[test]
 fn every_dependency_of_the_workspace_is_used_by_a_member() {
     let root = manifest(".");
     let workspace = root["workspace"].as_table().expect("the root is the workspace");

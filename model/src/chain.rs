@@ -208,6 +208,12 @@ impl<const N: usize> Chain<N> {
         Vector::from_fn(|i, _| self.b[i] * angles.sin[i])
     }
 
+    /// ∂G/∂q, N·m/rad: the stiffness that the weight gives the chain.
+    #[must_use]
+    pub fn gravity_rate(&self, q: &Vector<N>) -> Matrix<N> {
+        Matrix::<N>::from_diagonal(&Vector::<N>::from_fn(|i, _| self.b[i] * libm::cos(q[i])))
+    }
+
     /// Ṁ along q̇ = v, N·m·s, N × N: Ṁ_ij = −a_ij sin(q_i − q_j)(v_i − v_j).
     #[must_use]
     pub fn mass_matrix_rate(&self, q: &Vector<N>, v: &Vector<N>) -> Matrix<N> {

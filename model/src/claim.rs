@@ -3,7 +3,7 @@
 //! The plant's swap gate, the monitor and a replay ask here, so that none of them takes a certificate or a torque of the
 //! scenario's for a controller that another one does not.
 
-use crate::law::{Law, LawKind};
+use crate::law::{Gain, Law, LawKind};
 
 /// A built-in law that a controller claims to be, with its gains: only then is it certified.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,12 +33,17 @@ impl Claim {
     /// the scenario's law has its certificate.
     #[must_use]
     pub fn is_same_law(&self, other: &Self) -> bool {
-        let same = |gains: fn(&Self) -> [f64; 2]| gains(self).map(f64::to_bits) == gains(other).map(f64::to_bits);
-        self.law == other.law
-            && match self.law {
-                LawKind::Robust | LawKind::RobustFf => same(|claim| [claim.k_t, claim.beta]),
-                LawKind::Ctc | LawKind::PdG => same(|claim| [claim.k_p, claim.k_d]),
-            }
+        let same = |gain| self.gain(gain).to_bits() == other.gain(gain).to_bits();
+        self.law == other.law && self.law.gains().into_iter().all(same)
+    }
+
+    fn gain(&self, gain: Gain) -> f64 {
+        match gain {
+            Gain::Beta => self.beta,
+            Gain::KTotal => self.k_t,
+            Gain::KP => self.k_p,
+            Gain::KD => self.k_d,
+        }
     }
 }
 

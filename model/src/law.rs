@@ -1,7 +1,10 @@
-//! The control laws: pure functions from a sample and a setpoint to a torque.
+//! The control laws: which there are, and what can be asked of any of them.
+//!
+//! One file a law: its torque, the gains that it uses, its certificate with what that requires, the rate of its fastest mode,
+//! and what may be changed to remedy a certificate. Here is the list; nothing else in the workspace enumerates the laws.
 //!
 //! No clock, no memory, no input or output: the same input gives the same torque in every process and in a replay.
-//! What a gain is worth (certificates, C1, κ) belongs to `bound`; limits of the actuators belong to the plant.
+//! Limits of the actuators belong to the plant.
 //!
 //! With e = q_d − q, r = ė + β e (6), v_r = q̇_d + β e and a_r = q̈_d + β ė, and hats for the controller's model:
 //!
@@ -18,24 +21,86 @@ use core::str::FromStr;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::chain::{Chain, Vector};
+use crate::certificate::envelope::{Assumptions, Envelope};
+use crate::certificate::reach::Reach;
+use crate::certificate::requirement::Certification;
+use crate::certificate::sampling::ProvenAge;
+use crate::certificate::search::Rules;
+use crate::certificate::start::StartError;
+use crate::certificate::units::Units;
+use crate::certificate::{Certificate, Gains};
+use crate::chain::{Chain, Matrix, Vector};
+pub use crate::input::LawInput;
 use crate::quote;
+
+mod ctc;
+mod pd_g;
+mod robust;
+mod robust_ff;
 
 /// Which law computes the torque.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(into = "&str", try_from = "String")]
 pub enum LawKind {
     /// The paper's law, free of a model: a proportional-derivative law without gravity.
-    #[serde(rename = "robust")]
     Robust,
     /// The paper's (9) with its robust term: feed-forward of the model and K_t r.
-    #[serde(rename = "robust-ff")]
     RobustFf,
     /// Computed torque.
-    #[serde(rename = "ctc")]
     Ctc,
     /// Proportional-derivative with gravity compensation, the baseline.
-    #[serde(rename = "pd+g")]
     PdG,
+}
+
+/// Asks something of the law that a kind stands for.
+macro_rules! of_law {
+    ($kind:expr, $($asked:tt)+) => {
+        match $kind {
+            LawKind::Robust => <robust::Robust as ControlLaw>::$($asked)+,
+            LawKind::RobustFf => <robust_ff::RobustFf as ControlLaw>::$($asked)+,
+            LawKind::Ctc => <ctc::Ctc as ControlLaw>::$($asked)+,
+            LawKind::PdG => <pd_g::PdG as ControlLaw>::$($asked)+,
+        }
+    };
+}
+
+/// What a law's file says of it.
+trait ControlLaw {
+    /// The name in scenarios, on the command line and in reports.
+    const NAME: &'static str;
+    /// The gains that the torque depends on.
+    const GAINS: [Gain; 2];
+    /// The units of its certificate.
+    const UNITS: Units = Units::ON_R;
+    /// C1 where the scenario names none, N·m; none: as much as is required.
+    const C1_NM: Option<f64> = None;
+    /// How it is certified, and how gains are sought for it.
+    const RULES: Rules;
+
+    /// The torque τ, N·m, not limited.
+    fn torque<const N: usize>(law: &Law<N>, input: &LawInput<N>) -> Vector<N>;
+
+    /// dτ/dq and dτ/dq̇ at rest with e = 0, for M̂ and ∂Ĝ/∂q.
+    fn at_rest<const N: usize>(law: &Law<N>, mass: &Matrix<N>, weight: &Matrix<N>) -> (Matrix<N>, Matrix<N>);
+
+    /// What of the terms without state (M q̈_d + C q̇_d + G − d) it feeds forward, N·m; a law certified on y is not asked.
+    fn fed_forward<const N: usize>(_law: &Law<N>, _input: &LawInput<N>) -> Vector<N> {
+        Vector::zeros()
+    }
+
+    /// Bound of |τ_i| on {V ≤ c}, N·m, for link `i` from 0.
+    fn torque_bound<const N: usize>(law: &Law<N>, certificate: &Certificate, reach: &Reach<N>, i: usize) -> f64;
+
+    /// The age of a torque for which its certificate is proven beforehand. \[12]
+    fn proven_age(_certificate: &Certificate) -> Option<ProvenAge> {
+        None
+    }
+
+    /// Gains whose fastest mode has about the rate `rate` (1/s), for links with the least inertia `lambda_lo` (kg·m²); none for a
+    /// law without such a mode.
+    fn gains_for_rate(_rate: f64, _lambda_lo: f64, _gains: &Gains) -> Option<Gains> {
+        None
+    }
 }
 
 impl LawKind {
@@ -45,12 +110,69 @@ impl LawKind {
     /// The name in scenarios, on the command line and in reports.
     #[must_use]
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::Robust => "robust",
-            Self::RobustFf => "robust-ff",
-            Self::Ctc => "ctc",
-            Self::PdG => "pd+g",
-        }
+        of_law!(self, NAME)
+    }
+
+    /// The names of some laws, as a message lists them.
+    #[must_use]
+    pub fn names(of: impl Fn(Self) -> bool) -> String {
+        Self::ALL.into_iter().filter(|law| of(*law)).map(Self::name).collect::<Vec<_>>().join(", ")
+    }
+
+    /// The code in samples: 1 and up, since 0 stands for none.
+    #[must_use]
+    pub const fn code(self) -> u32 {
+        self as u32 + 1
+    }
+
+    /// The law of a code; none for 0 and for codes of no law.
+    #[must_use]
+    pub fn of_code(code: u32) -> Option<Self> {
+        Self::ALL.into_iter().find(|law| law.code() == code)
+    }
+
+    /// Whether the torque depends on a gain.
+    #[must_use]
+    pub fn uses(self, gain: Gain) -> bool {
+        self.gains().contains(&gain)
+    }
+
+    /// The gains that the torque depends on.
+    #[must_use]
+    pub const fn gains(self) -> [Gain; 2] {
+        of_law!(self, GAINS)
+    }
+
+    /// The units of its certificate.
+    #[must_use]
+    pub const fn units(self) -> Units {
+        of_law!(self, UNITS)
+    }
+
+    /// C1 where the scenario names none, N·m; none: as much as is required.
+    #[must_use]
+    pub const fn c1_nm(self) -> Option<f64> {
+        of_law!(self, C1_NM)
+    }
+
+    /// How it is certified, and how gains are sought for it.
+    #[must_use]
+    pub const fn rules(self) -> Rules {
+        of_law!(self, RULES)
+    }
+
+    /// The age of a torque for which a certificate of this law is proven beforehand; none for a law, or a certificate, for which
+    /// nothing is. \[12]
+    #[must_use]
+    pub fn proven_age(self, certificate: &Certificate) -> Option<ProvenAge> {
+        of_law!(self, proven_age(certificate))
+    }
+
+    /// Gains whose fastest mode has about the rate `rate` (1/s), for links with the least inertia `lambda_lo` (kg·m²); none for a
+    /// law without such a mode.
+    #[must_use]
+    pub fn gains_for_rate(self, rate: f64, lambda_lo: f64, gains: &Gains) -> Option<Gains> {
+        of_law!(self, gains_for_rate(rate, lambda_lo, gains))
     }
 }
 
@@ -60,9 +182,15 @@ impl fmt::Display for LawKind {
     }
 }
 
+impl From<LawKind> for &str {
+    fn from(kind: LawKind) -> Self {
+        kind.name()
+    }
+}
+
 /// A name that is no law's.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
-#[error("no law is called \"{}\", allowed: robust, robust-ff, ctc, pd+g{}", quote::text(found), hint(found))]
+#[error("no law is called \"{}\", allowed: {}{}", quote::text(found), LawKind::names(|_| true), hint(found))]
 pub struct UnknownLaw {
     /// What was found.
     pub found: String,
@@ -81,38 +209,44 @@ impl FromStr for LawKind {
     }
 }
 
-/// What a law sees: a measured state and the setpoint at the same instant.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LawInput<const N: usize> {
-    /// Measured angles, rad.
-    pub q: Vector<N>,
-    /// Measured velocities, rad/s.
-    pub v: Vector<N>,
-    /// Desired angles, rad.
-    pub q_d: Vector<N>,
-    /// Desired velocities, rad/s.
-    pub v_d: Vector<N>,
-    /// Desired accelerations, rad/s².
-    pub a_d: Vector<N>,
+impl TryFrom<String> for LawKind {
+    type Error = UnknownLaw;
+
+    fn try_from(name: String) -> Result<Self, UnknownLaw> {
+        name.parse()
+    }
 }
 
-impl<const N: usize> LawInput<N> {
-    /// e = q_d − q, rad.
-    #[must_use]
-    pub fn e(&self) -> Vector<N> {
-        self.q_d - self.q
-    }
+/// A gain that torques can depend on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Gain {
+    /// β.
+    Beta,
+    /// K_t.
+    KTotal,
+    /// K_p.
+    KP,
+    /// K_d.
+    KD,
+}
 
-    /// ė = q̇_d − q̇, rad/s.
+impl Gains {
+    /// The gains that a law has when nothing is said; those of `robust` are the documentation's example.
     #[must_use]
-    pub fn e_dot(&self) -> Vector<N> {
-        self.v_d - self.v
-    }
-
-    /// r = ė + β e, rad/s. (6)
-    #[must_use]
-    pub fn r(&self, beta: f64) -> Vector<N> {
-        self.e_dot() + self.e() * beta
+    pub const fn of(law: LawKind) -> Self {
+        Self {
+            beta: 5.0,
+            k2: 10.0,
+            k3: 0.04,
+            c1: law.c1_nm(),
+            level: 6.0,
+            k_p: 25.0,
+            k_d: 10.0,
+            k_t: None,
+            analyst_beta: None,
+            analyst_k2: None,
+            shared_v: false,
+        }
     }
 }
 
@@ -134,21 +268,52 @@ pub struct Law<const N: usize> {
 }
 
 impl<const N: usize> Law<N> {
+    /// A law with the gains that its certificate was computed for.
+    #[must_use]
+    pub fn new(kind: LawKind, model: Chain<N>, gains: &Gains, certificate: &Certificate) -> Self {
+        let Gains { beta, k_p, k_d, .. } = *gains;
+        Self { kind, model, beta, k_t: certificate.k_t(), k_p, k_d }
+    }
+
     /// The torque τ, N·m, not limited.
     #[must_use]
     pub fn torque(&self, input: &LawInput<N>) -> Vector<N> {
-        let LawInput { q, v, v_d, a_d, .. } = input;
-        let (e, e_dot) = (input.e(), input.e_dot());
-        match self.kind {
-            LawKind::Robust => input.r(self.beta) * self.k_t,
-            LawKind::RobustFf => {
-                let (v_r, a_r) = (v_d + e * self.beta, a_d + e_dot * self.beta);
-                self.model.torque_for(q, v, &v_r, &a_r) + input.r(self.beta) * self.k_t
-            }
-            LawKind::Ctc => self.model.torque_for(q, v, v, &(a_d + e_dot * self.k_d + e * self.k_p)),
-            LawKind::PdG => e * self.k_p + e_dot * self.k_d + self.model.gravity(q),
-        }
+        of_law!(self.kind, torque(self, input))
     }
+
+    /// dτ/dq (N·m/rad) and dτ/dq̇ (N·m·s/rad) about rest at `q` with e = 0.
+    #[must_use]
+    pub fn at_rest(&self, q: &Vector<N>) -> (Matrix<N>, Matrix<N>) {
+        of_law!(self.kind, at_rest(self, &self.model.mass_matrix(q), &self.model.gravity_rate(q)))
+    }
+
+    /// What of the terms without state it feeds forward, N·m: what Ψ is reduced by. \[5]
+    pub(crate) fn fed_forward(&self, input: &LawInput<N>) -> Vector<N> {
+        of_law!(self.kind, fed_forward(self, input))
+    }
+
+    /// Bound of |τ_i| on {V ≤ c}, N·m, for link `i` from 0: what `robust` reaches, what the other laws stay below.
+    pub(crate) fn torque_bound(&self, certificate: &Certificate, reach: &Reach<N>, i: usize) -> f64 {
+        of_law!(self.kind, torque_bound(self, certificate, reach, i))
+    }
+}
+
+/// Certifies a law. V(0) is checked against the level when a start is given.
+#[must_use]
+pub fn certify<const N: usize>(
+    law: LawKind,
+    assumptions: &Assumptions<N>,
+    gains: &Gains,
+    start: Option<&LawInput<N>>,
+) -> Certification {
+    let start = start.map(|input| StartError::of(&assumptions.nominal, input));
+    (law.rules().certify)(&assumptions.envelope(), gains, start.as_ref())
+}
+
+/// The certificate alone, without diagnosis of what is missing.
+#[must_use]
+pub fn certificate(law: LawKind, envelope: &Envelope, gains: &Gains, start: Option<&StartError>) -> Certificate {
+    (law.rules().certify)(envelope, gains, start).certificate
 }
 
 /// Weight of the new law's torque in the tick `passed` (from 0) of a cross-fade over `ticks` ticks: 10 s³ − 15 s⁴ + 6 s⁵,

@@ -4,12 +4,16 @@
 //! operating system, a file, the transport, a scenario, or which process it runs in.
 
 pub mod bound;
+pub mod certificate;
 pub mod chain;
 pub mod claim;
+pub mod input;
 pub mod integrator;
 pub mod law;
 pub mod quote;
 pub mod rng;
+#[cfg(test)]
+mod testing;
 pub mod trajectory;
 pub mod truth;
 

@@ -6,14 +6,14 @@
 
 mod figures;
 
-use loopbound_model::bound::certificate::{Certificate, Gains, certify};
 use loopbound_model::bound::coverage::{Surroundings, gaps};
 use loopbound_model::bound::diagnose::{Diagnosis, IntervalDiagnosis, Segment, Verdict};
-use loopbound_model::bound::envelope::Assumptions;
+use loopbound_model::certificate::envelope::Assumptions;
+use loopbound_model::certificate::{Certificate, Gains};
 use loopbound_model::chain::Chain;
 use loopbound_model::claim::Claim;
 use loopbound_model::integrator::PlantState;
-use loopbound_model::law::{Law, LawInput, LawKind};
+use loopbound_model::law::{Gain, Law, LawInput, LawKind, certify};
 use loopbound_model::trajectory::SetpointValue;
 use loopbound_model::truth::Truth;
 use loopbound_scenario::system;
@@ -162,14 +162,7 @@ impl<const N: usize> Judge<N> {
     fn law_of(&self, kind: LawKind, gains: &Gains) -> CertifiedLaw<N> {
         let certification = certify(kind, &self.assumptions, gains, self.starts[kind as usize].as_ref());
         let certificate = certification.certificate;
-        let law = Law {
-            kind,
-            model: self.assumptions.nominal,
-            beta: gains.beta,
-            k_t: certificate.k_t,
-            k_p: gains.k_p,
-            k_d: gains.k_d,
-        };
+        let law = Law::new(kind, self.assumptions.nominal, gains, &certificate);
         let shortfalls = certification.failures.iter().map(ToString::to_string).collect();
         let gaps = gaps(&self.truth, &self.assumptions, &law, &certificate, &self.surroundings);
         let outside = gaps.iter().map(ToString::to_string).collect();
@@ -209,7 +202,7 @@ impl<const N: usize> Judge<N> {
             return self.law_of(kind, &gains);
         }
         let Claim { beta, k_p, k_d, .. } = *claim;
-        let k_t = matches!(kind, LawKind::Robust | LawKind::RobustFf).then_some(claim.k_t);
+        let k_t = kind.uses(Gain::KTotal).then_some(claim.k_t);
         let mut law = self.law_of(kind, &Gains { beta, k_p, k_d, k_t, ..gains });
         law.law.k_t = claim.k_t;
         law

@@ -2,8 +2,8 @@
 //! plant's own damping with gravity compensation; and once all links are slow, the same as a safe *stop*. The steps are
 //! drawn in [`crate::authority`].
 
-use loopbound_model::bound::certificate::Certificate;
-use loopbound_model::bound::stability::hold_limit_s;
+use loopbound_model::certificate::Certificate;
+use loopbound_model::certificate::sampling::hold_limit_s;
 use loopbound_model::chain::{Chain, Vector};
 use loopbound_model::law::LawKind;
 use loopbound_scenario::system;
@@ -35,7 +35,7 @@ impl<const N: usize> Damping<N> {
     /// # Errors
     /// If the scenario describes no system.
     pub fn new(scenario: &Scenario) -> Result<Self, ScenarioError> {
-        let lambda_lo = system::certificate_of::<N>(scenario, LawKind::Robust)?.lambda_lo;
+        let lambda_lo = system::certificate_of::<N>(scenario, LawKind::Robust)?.envelope.lambda_lo();
         let damping = (DAMPING_SHARE * 2.0 * lambda_lo / seconds(scenario.period_ns())).min(DAMPING_MAX);
         Ok(Self { model: scenario.build_model()?, damping })
     }

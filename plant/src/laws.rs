@@ -1,7 +1,7 @@
 //! What the plant knows of the controllers' laws: enough to evaluate V, for the swap gate, the certified bound on V after a
 //! swap, and the time for which a torque may be held.
 
-use loopbound_model::bound::certificate::Certificate;
+use loopbound_model::certificate::Certificate;
 use loopbound_model::chain::Chain;
 use loopbound_model::claim::Claim;
 use loopbound_model::integrator::PlantState;

@@ -10,13 +10,15 @@ mod check;
 pub use check::{check, remarks};
 
 use crate::{Nanos, Scenario, ScenarioError};
-use loopbound_model::bound::certificate::{Certificate, Certification, Gains, StartError, certificate, certify};
 use loopbound_model::bound::coverage::{Gap, Surroundings, gaps as gaps_of};
-use loopbound_model::bound::envelope::Assumptions;
+use loopbound_model::certificate::envelope::Assumptions;
+use loopbound_model::certificate::requirement::Certification;
+use loopbound_model::certificate::start::StartError;
+use loopbound_model::certificate::{Certificate, Gains};
 use loopbound_model::chain::Vector;
 use loopbound_model::claim::Claim;
 use loopbound_model::integrator::PlantState;
-use loopbound_model::law::{Law, LawInput, LawKind};
+use loopbound_model::law::{Law, LawInput, LawKind, certificate, certify};
 use loopbound_model::trajectory::SetpointValue;
 
 /// A setpoint of standing still where the plant is: used until the first real one comes.
@@ -24,9 +26,6 @@ use loopbound_model::trajectory::SetpointValue;
 pub fn rest_at<const N: usize>(state: &PlantState<N>) -> SetpointValue<N> {
     SetpointValue { q_d: state.q, v_d: Vector::zeros(), a_d: Vector::zeros() }
 }
-
-/// C1 of `robust` where the scenario names none, N·m: with the default gains it covers disturbances up to 10.8 N·m.
-const C1_OF_ROBUST_NM: f64 = 40.0;
 
 /// The gains of a law in a scenario.
 #[must_use]
@@ -36,7 +35,7 @@ pub fn gains(scenario: &Scenario, law: LawKind) -> Gains {
         beta: gains.beta,
         k2: gains.k2,
         k3: gains.k3,
-        c1: gains.c1.or((law == LawKind::Robust).then_some(C1_OF_ROBUST_NM)),
+        c1: gains.c1.or(law.c1_nm()),
         level: gains.level,
         k_p: gains.kp,
         k_d: gains.kd,
@@ -109,14 +108,7 @@ pub fn certificate_of<const N: usize>(scenario: &Scenario, law: LawKind) -> Resu
 /// If the scenario describes no system.
 pub fn law<const N: usize>(scenario: &Scenario, kind: LawKind) -> Result<Law<N>, ScenarioError> {
     let certificate = certificate_of::<N>(scenario, kind)?;
-    Ok(Law {
-        kind,
-        model: scenario.build_model()?,
-        beta: scenario.controller.gains.beta,
-        k_t: certificate.k_t,
-        k_p: scenario.controller.gains.kp,
-        k_d: scenario.controller.gains.kd,
-    })
+    Ok(Law::new(kind, scenario.build_model()?, &gains(scenario, kind), &certificate))
 }
 
 /// What of a scenario's own plant the certificate of a law does not cover.

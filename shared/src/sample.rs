@@ -386,7 +386,7 @@ message! {
         pub published_ns: u64,
         /// What the process had of real-time privileges.
         pub privileges: Privileges,
-        /// Law of a controller: 0 none announced, else 1 + index in `LawKind::ALL`.
+        /// Law of a controller: 0 none announced, else `LawKind::code`.
         pub law: u32,
         /// Links in use.
         pub links: u32,
@@ -439,15 +439,13 @@ impl Announce {
     /// The law that a controller says it is, with its gains; none if it names no law, or one that is not known.
     #[must_use]
     pub fn claim(&self) -> Option<Claim> {
-        let place = usize::try_from(self.law).ok()?.checked_sub(1)?;
         let Self { beta, k_t, k_p, k_d, .. } = *self;
-        LawKind::ALL.get(place).map(|law| Claim { law: *law, beta, k_t, k_p, k_d })
+        LawKind::of_code(self.law).map(|law| Claim { law, beta, k_t, k_p, k_d })
     }
 
     /// Says a law and its gains.
     pub fn set_claim(&mut self, claim: &Claim) {
-        let place = LawKind::ALL.iter().position(|law| *law == claim.law).unwrap_or(0);
-        self.law = u32::try_from(place + 1).unwrap_or(0);
+        self.law = claim.law.code();
         (self.beta, self.k_t, self.k_p, self.k_d) = (claim.beta, claim.k_t, claim.k_p, claim.k_d);
     }
 }

@@ -7,10 +7,10 @@ pub mod sampling;
 use std::io::Write as _;
 
 use clap::Args;
-use loopbound_model::bound::certificate::{Certificate, Certification};
 use loopbound_model::bound::coverage::Gap;
-use loopbound_model::bound::units::Units;
-use loopbound_model::law::LawKind;
+use loopbound_model::certificate::requirement::Certification;
+use loopbound_model::certificate::{Certificate, Gains, OnR};
+use loopbound_model::law::{Gain, LawKind};
 use loopbound_model::quote;
 use loopbound_model::with_links;
 use loopbound_scenario::system;
@@ -61,6 +61,7 @@ pub fn run(args: &BoundArgs) -> anyhow::Result<Exit> {
 #[derive(Clone, Debug)]
 struct Answer {
     law: LawKind,
+    gains: Gains,
     rate_hz: f64,
     certification: Certification,
     sampling: Sampling,
@@ -78,7 +79,8 @@ fn examine<const N: usize>(scenario: &Scenario, latency_s: f64) -> Result<Answer
     let sampling = sampling::<N>(scenario, &certification.certificate, latency_s)?;
     let gaps = system::gaps::<N>(scenario, law)?;
     let rate_hz = scenario.loop_.rate.0;
-    Ok(Answer { law, rate_hz, certification, sampling, gaps, remedies: Vec::new(), better: None })
+    let gains = system::gains(scenario, law);
+    Ok(Answer { law, gains, rate_hz, certification, sampling, gaps, remedies: Vec::new(), better: None })
 }
 
 /// The answer with what would do, or would do better.
@@ -104,22 +106,22 @@ struct Row {
 }
 
 /// Every number that a certificate can have, the same list for every law.
-fn rows(law: LawKind, c: &Certificate) -> Vec<Row> {
-    let on_r = |value: f64| (law != LawKind::Ctc).then_some(value);
-    let pd = |value: f64| matches!(law, LawKind::Ctc | LawKind::PdG).then_some(value);
-    let units = Units::of(law);
+fn rows(law: LawKind, gains: &Gains, c: &Certificate) -> Vec<Row> {
+    let on_r = |number: fn(&OnR) -> f64| c.on_r().map(number);
+    let used = |gain, value| law.uses(gain).then_some(value);
+    let units = law.units();
     let row = |key, value, unit, meaning| Row { key, value, unit, meaning };
     vec![
-        row("beta", on_r(c.beta), "1/s", "of r = e' + beta e"),
-        row("p", on_r(c.p), "N·m/rad", "weight of ‖e‖² in V"),
-        row("k2", on_r(c.k2), "N·m·s", "share of the gain that makes V fall"),
-        row("k3", on_r(c.k3), "1/(N·m·rad/s)", "ε = 1/(4 K3)"),
-        row("c1", on_r(c.c1), "N·m", "covers what does not vanish with the error"),
-        row("c1_required", on_r(c.c1_required), "N·m", "what it must cover at least"),
-        row("kappa", on_r(c.kappa), "N·m·s", "what the Coriolis and cross terms take"),
-        row("k_t", on_r(c.k_t), "N·m·s", "total gain: K2 + κ + K3 C1²"),
-        row("k_p", pd(c.k_p), units.k_p, "gain of the law"),
-        row("k_d", pd(c.k_d), units.k_d, "gain of the law"),
+        row("beta", on_r(|r| r.beta), "1/s", "of r = e' + beta e"),
+        row("p", on_r(|r| r.p), "N·m/rad", "weight of ‖e‖² in V"),
+        row("k2", on_r(|r| r.k2), "N·m·s", "share of the gain that makes V fall"),
+        row("k3", on_r(|r| r.k3), "1/(N·m·rad/s)", "ε = 1/(4 K3)"),
+        row("c1", on_r(|r| r.c1), "N·m", "covers what does not vanish with the error"),
+        row("c1_required", on_r(|r| r.c1_required), "N·m", "what it must cover at least"),
+        row("kappa", on_r(|r| r.kappa), "N·m·s", "what the Coriolis and cross terms take"),
+        row("k_t", on_r(|r| r.k_t), "N·m·s", "total gain: K2 + κ + K3 C1²"),
+        row("k_p", used(Gain::KP, gains.k_p), units.k_p, "gain of the law"),
+        row("k_d", used(Gain::KD, gains.k_d), units.k_d, "gain of the law"),
         row("level", Some(c.level), units.v, "c: certified where V ≤ c"),
         row("v_start", Some(c.v_start), units.v, "V(0), an upper bound"),
         row("v_ultimate", Some(c.v_ultimate()), units.v, "ε/α: where V settles at most"),
@@ -128,11 +130,11 @@ fn rows(law: LawKind, c: &Certificate) -> Vec<Row> {
         row("w_norm", Some(c.w_norm), "", "‖W‖, W = (e, r): V falls outside; depends on the unit of time"),
         row("ultimate_e_rad", Some(c.ultimate_e), "rad", "ultimate bound of ‖e‖, all links"),
         row("ultimate_e_link_rad", Some(c.ultimate_e_link()), "rad", "and so of |e_i|, each link"),
-        row("ultimate_r_rad_s", Some(c.ultimate_r), "rad/s", "ultimate bound of ‖r‖, all links"),
-        row("lambda_lo", Some(c.lambda_lo), "kg·m²", "least eigenvalue of M"),
-        row("lambda_hi", Some(c.lambda_hi), "kg·m²", "largest eigenvalue of M"),
-        row("mu", Some(c.mu), "", "mass mismatch covered"),
-        row("disturbance_nm", Some(c.disturbance_nm), "N·m", "disturbance covered"),
+        row("ultimate_r_rad_s", Some(c.ultimate_s), "rad/s", "ultimate bound of ‖r‖, all links"),
+        row("lambda_lo", Some(c.envelope.lambda_lo()), "kg·m²", "least eigenvalue of M"),
+        row("lambda_hi", Some(c.envelope.lambda_hi()), "kg·m²", "largest eigenvalue of M"),
+        row("mu", Some(c.envelope.mu), "", "mass mismatch covered"),
+        row("disturbance_nm", Some(c.envelope.disturbance_nm), "N·m", "disturbance covered"),
     ]
 }
 
@@ -181,7 +183,7 @@ impl Answer {
         if self.remedies.is_empty() && !self.holds() {
             text.push_str("  no single change and no gains of the grid were found that would do\n");
         }
-        for Row { key, value, unit, meaning } in rows(self.law, &self.certification.certificate) {
+        for Row { key, value, unit, meaning } in rows(self.law, &self.gains, &self.certification.certificate) {
             if let Some(value) = value {
                 text.push_str(&format!("  {key:<20}{value:>12.5}  {unit:<14}  {meaning}\n"));
             }
@@ -198,7 +200,7 @@ impl Answer {
     fn to_json(&self) -> Value {
         let certification = &self.certification;
         // A number that the law does not have is null, and so is one that is not finite, since nothing is proven.
-        let all = rows(self.law, &certification.certificate);
+        let all = rows(self.law, &self.gains, &certification.certificate);
         let numbers: serde_json::Map<String, Value> =
             all.iter().map(|row| (row.key.to_owned(), json!(row.value))).collect();
         let units: serde_json::Map<String, Value> =
@@ -224,7 +226,7 @@ impl Answer {
 /// A remedy as it is typed, with what it gives.
 fn advised(remedy: &Remedy) -> String {
     let set: Vec<String> = remedy.settings.iter().map(|setting| format!("--set {setting}")).collect();
-    let Certificate { ultimate_e, k_t, .. } = remedy.certificate;
+    let (ultimate_e, k_t) = (remedy.certificate.ultimate_e, remedy.certificate.k_t());
     let mut text = format!("{}  (‖e‖ proven to {ultimate_e:.4} rad", set.join(" "));
     if k_t > 0.0 {
         text.push_str(&format!(", gain {k_t:.4}"));
@@ -236,7 +238,7 @@ fn advised(remedy: &Remedy) -> String {
 }
 
 fn remedy_to_json(remedy: &Remedy) -> Value {
-    let Certificate { ultimate_e, w_norm, k_t, .. } = remedy.certificate;
+    let (Certificate { ultimate_e, w_norm, .. }, k_t) = (remedy.certificate, remedy.certificate.k_t());
     json!({
         "set": remedy.settings, "ultimate_e_rad": ultimate_e, "w_norm": w_norm, "k_t": k_t, "used": remedy.used,
     })

@@ -3,11 +3,12 @@
 //!
 //! Each certificate must survive; certificates that are cut by hand must not, or the attack would prove nothing.
 
-use super::certificate::{Certificate, Gains, certify};
-use super::testing::{assume, default_sup, scaled_chain, unit_chain};
+use crate::certificate::envelope::Envelope;
+use crate::certificate::{Certificate, Form, Gains, OnR};
 use crate::chain::{Chain, Vector};
-use crate::law::{Law, LawInput, LawKind};
+use crate::law::{Law, LawInput, LawKind, certify};
 use crate::rng::{Stream, standard_normal, uniform};
+use crate::testing::{assume, default_sup, scaled_chain, unit_chain};
 
 /// One certificate under attack.
 struct Target<const N: usize> {
@@ -31,8 +32,7 @@ fn target<const N: usize>(kind: LawKind, gains: &Gains, mu: f64, disturbance_nm:
     let nominal = unit_chain::<N>();
     let found = certify(kind, &assume(&nominal, mu, disturbance_nm), gains, None);
     assert!(found.certificate.is_certified(), "{kind} n {N}: {:?}", found.failures);
-    let Gains { beta, k_p, k_d, .. } = *gains;
-    let law = Law { kind, model: nominal, beta, k_t: found.certificate.k_t, k_p, k_d };
+    let law = Law::new(kind, nominal, gains, &found.certificate);
     Target { certificate: found.certificate, law, mu, disturbance_nm }
 }
 
@@ -114,7 +114,7 @@ impl<const N: usize> Target<N> {
         let cert = &self.certificate;
         let state = |shrink: f64| {
             let (e, s) = (point.e * shrink, point.s * shrink);
-            let e_dot = if self.law.kind == LawKind::Ctc { s } else { s - e * cert.beta };
+            let e_dot = cert.on_r().map_or(s, |of| s - e * of.beta);
             let (v, q_d) = (point.v_d - e_dot, point.q + e);
             LawInput { q: point.q, v, q_d, v_d: point.v_d, a_d: point.a_d }
         };
@@ -131,19 +131,22 @@ impl<const N: usize> Target<N> {
             let d = along * (self.disturbance_nm / along.norm().max(1e-300));
             x.a_d - plant.acceleration(&x.q, &x.v, &(tau + d))
         };
-        if self.law.kind == LawKind::Ctc {
-            let gradient = e * (cert.k_d / 2.0) + e_dot;
-            let still = plant.acceleration(&x.q, &Vector::zeros(), &(gradient + plant.gravity(&x.q)));
-            let e_ddot = pushed(&-still);
-            return (cert.k_p + cert.k_d * cert.k_d / 2.0) * e.dot(&e_dot)
-                + cert.k_d / 2.0 * (e_dot.dot(&e_dot) + e.dot(&e_ddot))
-                + e_dot.dot(&e_ddot);
-        }
-        let r = x.r(cert.beta);
-        let r_dot = pushed(&-r) + e_dot * cert.beta;
+        let of = match cert.form {
+            Form::OnR(of) => of,
+            Form::OnY(of) => {
+                let gradient = e * (of.k_d / 2.0) + e_dot;
+                let still = plant.acceleration(&x.q, &Vector::zeros(), &(gradient + plant.gravity(&x.q)));
+                let e_ddot = pushed(&-still);
+                return (of.k_p + of.k_d * of.k_d / 2.0) * e.dot(&e_dot)
+                    + of.k_d / 2.0 * (e_dot.dot(&e_dot) + e.dot(&e_ddot))
+                    + e_dot.dot(&e_ddot);
+            }
+        };
+        let r = x.r(of.beta);
+        let r_dot = pushed(&-r) + e_dot * of.beta;
         let mass = plant.mass_matrix(&x.q);
         let mass_rate = plant.mass_matrix_rate(&x.q, &x.v);
-        r.dot(&(mass * r_dot)) + 0.5 * r.dot(&(mass_rate * r)) + cert.p * e.dot(&e_dot)
+        r.dot(&(mass * r_dot)) + 0.5 * r.dot(&(mass_rate * r)) + of.p * e.dot(&e_dot)
     }
 }
 
@@ -209,9 +212,51 @@ fn an_epsilon_cut_by_a_third_is_found_out() {
 #[test]
 fn a_gain_without_kappa_is_found_out() {
     let mut cut = target::<3>(LawKind::Robust, &Gains::of(LawKind::Robust), 0.0, 10.8);
-    cut.law.k_t -= cut.certificate.kappa;
+    cut.law.k_t -= cut.certificate.on_r().unwrap().kappa;
     let found = cut.worst(STATES / 10);
     assert!(found > 0.0, "{found}");
+}
+
+/// The certificate of every blend of two laws, torque = w τ_a + (1 − w) τ_b for the same state, w in [0, 1] however
+/// it varies with time; none when the two do not share V.
+///
+/// V̇ is affine in τ, so a blend keeps the weaker of the two promises on the smaller level set: with the smaller
+/// rates and the larger ε. Shared means same β, same p, same true plants (μ, D) and reference. `robust` and
+/// `robust-ff` share V when the latter is given p = β² m̄; `ctc` has another V, so no blend with it is covered.
+fn blend_covered(a: &Certificate, b: &Certificate) -> Option<Certificate> {
+    if !(a.is_certified() && b.is_certified()) {
+        return None;
+    }
+    let (of_a, of_b) = (a.on_r()?, b.on_r()?);
+    let key = |c: &Certificate, of: &OnR| {
+        let Envelope { v_inf, v_2, a_2, .. } = c.envelope;
+        let of_plants = [c.envelope.lambda_lo(), c.envelope.lambda_hi(), c.envelope.c_bar(), v_inf, v_2, a_2];
+        (of_plants.map(f64::to_bits), [of.beta, of.p].map(f64::to_bits))
+    };
+    if key(a, of_a) != key(b, of_b) {
+        return None;
+    }
+    let level = a.level.min(b.level);
+    let (s_rate, e_rate) = (a.s_rate.min(b.s_rate), a.e_rate.min(b.e_rate));
+    let epsilon = a.epsilon.max(b.epsilon);
+    let alpha = (2.0 * s_rate / a.envelope.lambda_hi()).min(2.0 * e_rate / of_a.p);
+    // The smaller level set may be too small for the larger ε: then the blend may leave it.
+    if epsilon > alpha * level {
+        return None;
+    }
+    let disturbance_nm = a.envelope.disturbance_nm.min(b.envelope.disturbance_nm);
+    Some(Certificate {
+        envelope: Envelope { disturbance_nm, ..a.envelope },
+        level,
+        s_rate,
+        e_rate,
+        epsilon,
+        alpha,
+        w_norm: (epsilon / s_rate.min(e_rate)).sqrt(),
+        ultimate_e: (2.0 * epsilon / (alpha * of_a.p)).sqrt(),
+        ultimate_s: (2.0 * epsilon / (alpha * a.envelope.lambda_lo())).sqrt(),
+        ..*a
+    })
 }
 
 #[test]
@@ -220,12 +265,12 @@ fn a_blend_of_laws_on_one_v_keeps_the_weaker_rate() {
         target::<3>(LawKind::Robust, &Gains { level: 7.2, k3: 0.0367, ..Gains::of(LawKind::Robust) }, 0.2, 3.46);
     let gains = Gains { level: 7.0, k2: 8.0, shared_v: true, ..Gains::of(LawKind::RobustFf) };
     let forward = target::<3>(LawKind::RobustFf, &gains, 0.2, 3.46);
-    let blend = super::lyapunov::blend_covered(&robust.certificate, &forward.certificate).unwrap();
+    let blend = blend_covered(&robust.certificate, &forward.certificate).unwrap();
     let plant = scaled_chain::<3>([0.8, 1.2, 0.8]);
     let mut level_reached = 0.0f64;
     for state in 0..20_000 {
         let point = robust.draw(state);
-        let v = point.s - point.e * blend.beta;
+        let v = point.s - point.e * blend.on_r().unwrap().beta;
         let x = LawInput { q: point.q, v: point.v_d - v, q_d: point.q + point.e, v_d: point.v_d, a_d: point.a_d };
         if blend.v(&plant, &x) > blend.level {
             continue;
@@ -239,7 +284,7 @@ fn a_blend_of_laws_on_one_v_keeps_the_weaker_rate() {
     assert!(level_reached > 0.9 * blend.level);
     // Not on the same V: another p, another β, or computed torque.
     let own = target::<3>(LawKind::RobustFf, &Gains { shared_v: false, ..gains }, 0.2, 3.46);
-    assert!(super::lyapunov::blend_covered(&robust.certificate, &own.certificate).is_none());
+    assert!(blend_covered(&robust.certificate, &own.certificate).is_none());
     let ctc = target::<3>(LawKind::Ctc, &Gains { level: 8.0, ..Gains::of(LawKind::Ctc) }, 0.0, 0.0);
-    assert!(super::lyapunov::blend_covered(&robust.certificate, &ctc.certificate).is_none());
+    assert!(blend_covered(&robust.certificate, &ctc.certificate).is_none());
 }

@@ -6,13 +6,12 @@
 
 use core::fmt;
 
+use crate::certificate::Certificate;
+use crate::certificate::envelope::{Assumptions, generalised_eigen, symmetric_eigenvalues};
+use crate::certificate::reach::Reach;
 use crate::chain::{Chain, Matrix, Vector};
-use crate::law::{Law, LawKind};
+use crate::law::Law;
 use crate::truth::Truth;
-
-use super::certificate::Certificate;
-use super::envelope::{Assumptions, generalised_eigen, symmetric_eigen, symmetric_eigenvalues};
-use super::stability::proven_age;
 
 /// Relative room for rounding.
 const ROUNDING: f64 = 1e-9;
@@ -174,7 +173,7 @@ pub fn gaps<const N: usize>(
     }
     if around.actuation_delay_s > 0.0 {
         let (delay_s, proven_s) =
-            (around.actuation_delay_s, proven_age(certificate).map_or(0.0, |proven| proven.age_s));
+            (around.actuation_delay_s, law.kind.proven_age(certificate).map_or(0.0, |proven| proven.age_s));
         if delay_s + around.period_s > proven_s {
             found.push(Gap::ActuationDelay { delay_s, proven_s });
         }
@@ -202,22 +201,22 @@ fn on_the_level<const N: usize>(
     found: &mut Vec<Gap>,
 ) {
     let reach = Reach::of(&truth.chain, certificate);
-    let friction_nm = friction(truth, certificate.v_2 + reach.e_dot);
+    let friction_nm = friction(truth, certificate.envelope.v_2 + reach.e_dot);
     let left_nm = (declared_nm - disturbance_nm).max(0.0);
     if friction_nm > left_nm * (1.0 + ROUNDING) {
         found.push(Gap::Friction { found_nm: friction_nm, declared_nm, left_nm });
     }
     // The worst link is enough.
-    let short = |link: &usize| reach.torque(law, certificate, *link) / truth.torque_limit_nm[*link];
+    let short = |link: &usize| law.torque_bound(certificate, &reach, *link) / truth.torque_limit_nm[*link];
     if let Some(link) = (0..N).max_by(|a, b| short(a).total_cmp(&short(b)))
         && short(&link) > 1.0 + ROUNDING
     {
-        let (limit_nm, asked_nm) = (truth.torque_limit_nm[link], reach.torque(law, certificate, link));
+        let (limit_nm, asked_nm) = (truth.torque_limit_nm[link], law.torque_bound(certificate, &reach, link));
         found.push(Gap::TorqueLimit { link: link + 1, limit_nm, asked_nm });
     }
     // A joint turns by the difference of two links, of which one alone may have all of |ė|, or both a share.
     let links = if N == 1 { 1.0 } else { 2.0 };
-    let reached_rad_s = links * certificate.v_inf + links.sqrt() * reach.e_dot;
+    let reached_rad_s = links * certificate.envelope.v_inf + links.sqrt() * reach.e_dot;
     if reached_rad_s > around.speed_limit_rad_s {
         found.push(Gap::SpeedLimit { limit_rad_s: around.speed_limit_rad_s, reached_rad_s });
     }
@@ -250,57 +249,4 @@ fn friction<const N: usize>(truth: &Truth<N>, speed: f64) -> f64 {
     // Coulomb friction is at its largest where neighbouring joints turn against each other.
     let coulomb = Vector::<N>::from_fn(|i, _| truth.coulomb_nm[i] + next(&truth.coulomb_nm, i)).norm();
     viscous * speed + coulomb
-}
-
-/// How far the errors reach on {V ≤ c}.
-struct Reach<const N: usize> {
-    /// |e|, rad.
-    e: f64,
-    /// |ė|, rad/s.
-    e_dot: f64,
-    /// |r_i|, rad/s: r_i² ≤ 2c (M⁻¹)_ii, and (M⁻¹)_ii ≤ (a⁻¹)_ii with equality for aligned links.
-    r: [f64; N],
-}
-
-impl<const N: usize> Reach<N> {
-    fn of(chain: &Chain<N>, cert: &Certificate) -> Self {
-        let twice = 2.0 * cert.level;
-        if cert.law() == Some(LawKind::Ctc) {
-            // The extremes of the ellipse ½ yᵀ([[1+2ζ², ζ],[ζ, 1]] ⊗ 1) y = c.
-            let zeta_square = cert.k_d * cert.k_d / (4.0 * cert.k_p);
-            let e = (twice / ((1.0 + zeta_square) * cert.k_p)).sqrt();
-            let e_dot = (twice * (1.0 + 2.0 * zeta_square) / (1.0 + zeta_square)).sqrt();
-            return Self { e, e_dot, r: [0.0; N] };
-        }
-        let (eigenvalues, vectors) = symmetric_eigen(chain.a());
-        let lambda_lo = eigenvalues.iter().copied().fold(f64::INFINITY, f64::min);
-        let inverse = |i: usize| (0..N).map(|k| vectors[(i, k)] * vectors[(i, k)] / eigenvalues[k]).sum::<f64>();
-        Self {
-            e: (twice / cert.p).sqrt(),
-            // ė = r − βe with ½ rᵀMr + ½ p|e|² ≤ c, by Cauchy.
-            e_dot: (twice * (1.0 / lambda_lo + cert.beta * cert.beta / cert.p)).sqrt(),
-            r: core::array::from_fn(|i| (twice * inverse(i)).sqrt()),
-        }
-    }
-
-    /// Bound of |τ_i|, N·m: what `robust` reaches, what the other laws stay below.
-    fn torque(&self, law: &Law<N>, cert: &Certificate, i: usize) -> f64 {
-        let (a, weight) = (law.model.a(), law.model.b()[i].abs());
-        let row = (0..N).map(|j| a[(i, j)] * a[(i, j)]).sum::<f64>().sqrt();
-        let turning = (0..N).filter(|j| *j != i).map(|j| a[(i, j)].abs()).fold(0.0, f64::max);
-        let speed = cert.v_2 + self.e_dot;
-        match law.kind {
-            LawKind::Robust => law.k_t * self.r[i],
-            LawKind::RobustFf => {
-                let inertial = row * (cert.a_2 + law.beta * self.e_dot);
-                inertial + turning * speed * (cert.v_2 + law.beta * self.e) + weight + law.k_t * self.r[i]
-            }
-            LawKind::Ctc => {
-                let asked = cert.a_2 + law.k_d * self.e_dot + law.k_p * self.e;
-                row * asked + turning * speed * speed + weight
-            }
-            // K_p e + K_d ė = K_d r + (K_p − βK_d) e, for the β of the certificate.
-            LawKind::PdG => law.k_d * self.r[i] + (law.k_p - cert.beta * law.k_d).abs() * self.e + weight,
-        }
-    }
 }

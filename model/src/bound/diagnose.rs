@@ -18,14 +18,14 @@
 //!
 //! No allocation: this runs for every tick.
 
-use crate::chain::{Chain, Vector};
+use crate::certificate::Certificate;
+use crate::certificate::lyapunov::Observed;
+use crate::chain::Vector;
+use crate::input::LawInput;
 use crate::integrator::{PlantState, integrate_with};
-use crate::law::{Law, LawInput, LawKind};
+use crate::law::Law;
 use crate::trajectory::SetpointValue;
 use crate::truth::Truth;
-
-use super::certificate::Certificate;
-use super::lyapunov::Observed;
 
 /// A stretch of time under one torque.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -187,7 +187,7 @@ impl<const N: usize> Diagnosis<'_, N> {
             let x = seen(state, t_s);
             let promised = self.certificate.rate(&x);
             let Some(law) = self.law else { return [promised, 0.0, 0.0, 0.0] };
-            let (now, lever) = (law.torque(&x), lever(self.certificate, &self.truth.chain, &x));
+            let (now, lever) = (law.torque(&x), self.certificate.lever(&self.truth.chain, &x));
             let late = |from: Option<Vector<N>>| from.map_or(0.0, |torque| lever.dot(&(now - torque)));
             [promised, late(answered), late(scheduled), lever.dot(&(answered.unwrap_or(now) - tau))]
         };
@@ -225,11 +225,11 @@ impl<const N: usize> Diagnosis<'_, N> {
         let disturbance = self.truth.disturbance(at_ns as f64 * 1e-9);
         self.certificate.psi_observed(&Observed {
             true_chain: &self.truth.chain,
-            nominal: &law.model,
             x,
             acceleration: &self.truth.acceleration(&x.q, &x.v, tau, &disturbance),
             tau,
             law_torque: &law.torque(x),
+            fed_forward: &law.fed_forward(x),
         })
     }
 }
@@ -237,16 +237,6 @@ impl<const N: usize> Diagnosis<'_, N> {
 /// A state and a setpoint at the same instant.
 fn input<const N: usize>(state: &PlantState<N>, setpoint: &SetpointValue<N>) -> LawInput<N> {
     LawInput { q: state.q, v: state.v, q_d: setpoint.q_d, v_d: setpoint.v_d, a_d: setpoint.a_d }
-}
-
-/// −∂V̇/∂τ: what a missing torque does to V̇.
-fn lever<const N: usize>(certificate: &Certificate, true_chain: &Chain<N>, x: &LawInput<N>) -> Vector<N> {
-    if certificate.law() == Some(LawKind::Ctc) {
-        let gradient = x.e() * (certificate.k_d / 2.0) + x.e_dot();
-        let rest = Vector::<N>::zeros();
-        return true_chain.acceleration(&x.q, &rest, &(gradient + true_chain.gravity(&x.q)));
-    }
-    x.r(certificate.beta)
 }
 
 #[cfg(test)]

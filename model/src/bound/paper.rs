@@ -2,13 +2,13 @@
 //!
 //! The table in `docs/model-and-bound.md` names these tests. Those about M, C and G stand beside `chain`.
 
-use super::certificate::{Certificate, Gains, certify};
-use super::envelope::Assumptions;
-use super::testing::{assume, close, input_at, unit_chain};
+use crate::certificate::envelope::Assumptions;
+use crate::certificate::{Certificate, Gains};
 use crate::chain::{Chain, Matrix, Vector};
 use crate::integrator::{PlantState, rk4_step};
-use crate::law::{Law, LawInput, LawKind};
+use crate::law::{Law, LawInput, LawKind, certify};
 use crate::rng::{Stream, uniform};
+use crate::testing::{assume, close, input_at, unit_chain};
 use crate::trajectory::{SupNorms, Trajectory};
 use crate::truth::{Disturbance, Truth};
 
@@ -30,7 +30,7 @@ fn after_2_the_error_does_not_vanish_but_settles_within_the_ultimate_bound() {
     let assumptions = Assumptions { nominal: chain, mass_mismatch: 0.0, disturbance_bound_nm: 0.0, sup };
     let gains = Gains { c1: None, ..Gains::of(LawKind::Robust) };
     let cert = certify(LawKind::Robust, &assumptions, &gains, None).certificate;
-    let law = Law { kind: LawKind::Robust, model: chain, beta: BETA, k_t: cert.k_t, k_p: 0.0, k_d: 0.0 };
+    let law = Law { kind: LawKind::Robust, model: chain, beta: BETA, k_t: cert.k_t(), k_p: 0.0, k_d: 0.0 };
     let (zero, truth) = (Vector::<1>::zeros(), Truth::ideal(chain));
     let mut state = PlantState { q: zero, v: zero };
     let q_d = Vector::<1>::new(0.4);
@@ -128,12 +128,13 @@ fn one_global_c1_does_not_exist_for_three_links() {
     // (16) folds M q̈_d + C q̇ + G into C1: C q̇ grows with the square of q̇, so no constant covers it.
     let chain = unit_chain::<3>();
     let cert = certify(LawKind::Robust, &assume(&chain, 0.0, 0.0), &Gains::of(LawKind::Robust), None).certificate;
+    let c1 = cert.psi_allowed();
     let q = Vector::<3>::new(1.2, -0.3, 0.5);
     let folded = |speed: f64| {
         let v = Vector::<3>::new(speed, -speed, speed);
         (chain.coriolis(&q, &v) * v + chain.gravity(&q)).norm()
     };
-    assert!(folded(0.1) < cert.c1 && folded(10.0) > cert.c1 && folded(100.0) > 50.0 * cert.c1);
+    assert!(folded(0.1) < c1 && folded(10.0) > c1 && folded(100.0) > 50.0 * c1);
     // And without ½Ṁ, which skew symmetry cancels against C, the printed V̇ = r M ṙ + … is not the rate of V.
     let r = Vector::<3>::new(1.0, -1.0, 1.0);
     let missing = 0.5 * r.dot(&(chain.mass_matrix_rate(&q, &Vector::<3>::new(1.0, -2.0, 1.0)) * r));
@@ -161,19 +162,20 @@ fn a_state_inside_the_radius_20_can_leave_it_but_not_the_level_9() {
     let gains = Gains { k2: 100.0, c1: None, ..Gains::of(LawKind::Robust) };
     let cert: Certificate = certify(LawKind::Robust, &assumptions, &gains, None).certificate;
     assert!(cert.is_certified());
+    let of = cert.on_r().unwrap();
     // The constant worst disturbance: ė = r − βe, m ṙ = C1 + (βm − K_t) r − β²m e.
     let (mut e, mut r, h) = (0.999 * cert.w_norm, 0.0, 1e-5);
     let (mut w_max, mut v_max) = (0.0f64, 0.0f64);
     for _ in 0..1_000_000 {
-        let r_dot = cert.c1 + (BETA - cert.k_t) * r - BETA * BETA * e;
+        let r_dot = of.c1 + (BETA - of.k_t) * r - BETA * BETA * e;
         (e, r) = (e + h * (r - BETA * e), r + h * r_dot);
         w_max = w_max.max((e * e + r * r).sqrt());
-        v_max = v_max.max(0.5 * r * r + 0.5 * cert.p * e * e);
+        v_max = v_max.max(0.5 * r * r + 0.5 * of.p * e * e);
     }
     assert!(w_max > 1.1 * cert.w_norm, "{w_max} {}", cert.w_norm);
-    let v_start = 0.5 * cert.p * cert.w_norm * cert.w_norm;
+    let v_start = 0.5 * of.p * cert.w_norm * cert.w_norm;
     assert!(v_max <= v_start.max(cert.v_ultimate()));
-    assert!(e.abs() <= cert.ultimate_e && r.abs() <= cert.ultimate_r);
+    assert!(e.abs() <= cert.ultimate_e && r.abs() <= cert.ultimate_s);
 }
 
 #[test]

@@ -1,13 +1,10 @@
 //! The laws against closed-loop identities that do not repeat their formulas.
 
-use super::*;
-use crate::chain::LinkParameters;
-use crate::rng::{Stream, uniform};
+mod certificates;
 
-fn unit_chain<const N: usize>() -> Chain<N> {
-    let links = LinkParameters { mass_kg: [1.0; N], length_m: [1.0; N], inertia_kg_m2: None, gravity_m_s2: 9.81 };
-    Chain::from_links(&links).unwrap()
-}
+use super::*;
+use crate::rng::{Stream, uniform};
+use crate::testing::unit_chain;
 
 fn random<const N: usize>(case: u64, what: u32) -> Vector<N> {
     Vector::from_fn(|i, _| 4.0 * uniform(3, Stream::Test, case, what * 8 + u32::try_from(i).unwrap()) - 2.0)
@@ -79,4 +76,35 @@ fn a_law_is_named_the_same_when_it_is_written_and_read() {
     }
     let refusal = "pid".parse::<LawKind>().unwrap_err().to_string();
     assert!(refusal.contains("\"pid\"") && refusal.contains("robust-ff"), "{refusal}");
+}
+
+#[test]
+fn the_linearised_law_is_the_derivative_of_its_torque() {
+    const STEP: f64 = 1e-6;
+    let zero = Vector::<3>::zeros();
+    for kind in LawKind::ALL {
+        for case in 0..10 {
+            let (law, q) = (law::<3>(kind), random::<3>(case, 0));
+            let (on_q, on_v) = law.at_rest(&q);
+            let torque = |by_q: Vector<3>, by_v: Vector<3>| {
+                law.torque(&LawInput { q: q + by_q, v: by_v, q_d: q, v_d: zero, a_d: zero })
+            };
+            for column in 0..3 {
+                let push = Vector::<3>::from_fn(|i, _| if i == column { STEP } else { 0.0 });
+                let by_q = (torque(push, zero) - torque(-push, zero)) / (2.0 * STEP);
+                let by_v = (torque(zero, push) - torque(zero, -push)) / (2.0 * STEP);
+                // The rounding of torques of some 100 N·m over the step.
+                assert!((by_q - on_q.column(column)).amax() < 1e-6, "{kind} q {case}: {by_q} {on_q}");
+                assert!((by_v - on_v.column(column)).amax() < 1e-6, "{kind} v {case}: {by_v} {on_v}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_code_is_one_laws_and_0_is_nobodys() {
+    let codes = LawKind::ALL.map(LawKind::code);
+    assert_eq!(codes, [1, 2, 3, 4], "recordings and samples of older versions carry them");
+    assert_eq!(codes.map(LawKind::of_code), LawKind::ALL.map(Some));
+    assert!([0, 5, u32::MAX].into_iter().all(|code| LawKind::of_code(code).is_none()));
 }

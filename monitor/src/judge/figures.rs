@@ -1,11 +1,9 @@
 //! The figures of the bound, law by law. V, its level, C1, ‖W‖ and what was observed of them belong to one law with its
 //! gains: those of two are never mixed. Counts are kept for the whole run as well.
 
-use loopbound_model::bound::certificate::Certificate;
 use loopbound_model::bound::diagnose::{IntervalDiagnosis, Verdict};
-use loopbound_model::bound::stability::sampling_budget_with_jitter;
-use loopbound_model::bound::units::Units;
-use loopbound_model::law::LawKind;
+use loopbound_model::certificate::Certificate;
+use loopbound_model::certificate::sampling::sampling_budget_with_jitter;
 
 use super::CertifiedLaw;
 use crate::summary::{BoundSummary, LawSummary, finite};
@@ -237,14 +235,16 @@ impl Counts {
 fn put_certificate<const N: usize>(summary: &mut BoundSummary, claim: &CertifiedLaw<N>) {
     let certificate = &claim.certificate;
     summary.law = Some(claim.law.kind.name().to_owned());
-    let units = Units::of(claim.law.kind);
+    let units = claim.law.kind.units();
     (summary.v_unit, summary.psi_unit) = (Some(units.v.to_owned()), Some(units.psi.to_owned()));
     summary.certified = certificate.is_certified();
     summary.shortfalls.clone_from(&claim.shortfalls);
     summary.outside.clone_from(&claim.outside);
     summary.level = finite(certificate.level);
-    summary.k_t = finite(claim.law.k_t).filter(|_| claim.law.kind != LawKind::Ctc);
-    summary.kappa = finite(certificate.kappa).filter(|_| claim.law.kind != LawKind::Ctc);
+    if let Some(on_r) = certificate.on_r() {
+        summary.k_t = finite(claim.law.k_t);
+        summary.kappa = finite(on_r.kappa);
+    }
     if certificate.is_certified() {
         summary.alpha = finite(certificate.alpha);
         summary.epsilon = finite(certificate.epsilon);

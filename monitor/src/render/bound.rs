@@ -1,7 +1,6 @@
 //! The lines of the screen on V, its certificate and the latency budget.
 
-use loopbound_model::bound::stability::SamplingRule;
-use loopbound_model::law::LawKind;
+use loopbound_model::certificate::sampling::SamplingRule;
 
 use super::{Screen, number, time, with_unit};
 use crate::counted::counted;
@@ -82,7 +81,7 @@ fn of_one_law(screen: &mut Screen, bound: &BoundSummary, norm_e_rad: Option<f64>
         let text = format!(
             "Ψ max {} of {} = {}; {}; {}{}",
             number(bound.psi_max),
-            if bound.law.as_deref() == Some(LawKind::Ctc.name()) { "η0" } else { "C1" },
+            units.map_or("C1", |units| units.psi_allowed),
             with_unit(bound.c1, units.map(|units| units.psi)),
             settled(bound),
             error_bound(bound),

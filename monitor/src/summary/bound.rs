@@ -2,7 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use loopbound_model::bound::units::Units;
+use loopbound_model::certificate::units::Units;
+use loopbound_model::law::LawKind;
 use serde::{Deserialize, Serialize};
 
 /// What was seen under one law.
@@ -115,7 +116,7 @@ impl BoundSummary {
     /// The units of its figures; none for an unknown law.
     #[must_use]
     pub fn units(&self) -> Option<Units> {
-        self.law.as_deref()?.parse().ok().map(Units::of)
+        self.law.as_deref()?.parse().ok().map(LawKind::units)
     }
 
     /// Checked ticks of a verdict.

@@ -1,13 +1,15 @@
 //! Changes of a scenario with which its law is certified, its sampled loop stable with room, and its plant covered.
 
 use crate::{Nanos, Scenario, ScenarioError};
-use loopbound_model::bound::certificate::{Certificate, StartError};
 use loopbound_model::bound::coverage::{Gap, Surroundings, gaps};
-use loopbound_model::bound::design::{Candidate, Task, best, round_up};
-use loopbound_model::bound::envelope::{Assumptions, Envelope};
+use loopbound_model::bound::design::best;
 use loopbound_model::bound::remedy;
 use loopbound_model::bound::stability::radius::SampledLoop;
-use loopbound_model::bound::stability::sampling_budget;
+use loopbound_model::certificate::Certificate;
+use loopbound_model::certificate::envelope::{Assumptions, Envelope};
+use loopbound_model::certificate::sampling::sampling_budget;
+use loopbound_model::certificate::search::{Candidate, Task, round_up};
+use loopbound_model::certificate::start::StartError;
 use loopbound_model::law::{Law, LawKind};
 use loopbound_model::truth::Truth;
 
@@ -56,8 +58,7 @@ impl<const N: usize> Case<N> {
     }
 
     fn law_of(&self, candidate: &Candidate) -> Law<N> {
-        let gains = &candidate.gains;
-        Law { beta: gains.beta, k_t: candidate.certificate.k_t, k_p: gains.k_p, k_d: gains.k_d, ..self.law }
+        Law::new(self.kind, self.law.model, &candidate.gains, &candidate.certificate)
     }
 
     /// Whether the sampled loop is stable, also with longer times.
@@ -100,7 +101,7 @@ impl<const N: usize> Case<N> {
     ) -> Result<Task<'a>, ScenarioError> {
         let start = super::start::<N>(scenario)?;
         Ok(Task {
-            law: self.kind,
+            rules: self.kind.rules(),
             envelope,
             gains: super::gains(scenario, self.kind),
             start: Some(StartError::of(&self.assumptions.nominal, &start)),

@@ -118,7 +118,7 @@ fn the_torque_that_robust_may_ask_for_is_reached() {
     let reached = (0..3).map(|i| {
         let direction = mass.try_inverse().unwrap() * Vector::<3>::ith(i, 1.0);
         let r = direction * (2.0 * cert.level / direction.dot(&(mass * direction))).sqrt();
-        cert.k_t * r[i].abs()
+        cert.k_t() * r[i].abs()
     });
     let reached = reached.fold(0.0, f64::max);
     let [Gap::TorqueLimit { asked_nm, .. }] = gaps_of(&["plant.torque_limit_nm=1"])[..] else { panic!("no limit") };

@@ -2,12 +2,11 @@
 
 use std::fmt::Write as _;
 
-use loopbound_model::bound::certificate::Certificate;
 use loopbound_model::bound::stability::radius::{Limit, SampledLoop};
-use loopbound_model::bound::stability::{
-    ProvenAge, SamplingBudget, hold_limit_s, hold_limit_ticks, proven_age, sampling_budget,
+use loopbound_model::certificate::Certificate;
+use loopbound_model::certificate::sampling::{
+    ProvenAge, SamplingBudget, hold_limit_s, hold_limit_ticks, sampling_budget,
 };
-use loopbound_model::bound::units::Units;
 use loopbound_model::law::LawKind;
 use loopbound_scenario::system::{self, advice::CONFIGURATIONS};
 use loopbound_scenario::{Scenario, ScenarioError};
@@ -61,7 +60,7 @@ pub fn sampling<const N: usize>(
         radius: sampled.worst_radius(period_s, latency_s),
         radius_margin: sampled.delay_margin(period_s, latency_s),
         radius_period: sampled.longest_period(period_s, latency_s),
-        proven: proven_age(certificate),
+        proven: law_kind.proven_age(certificate),
         held,
         hold_s: hold_limit_s(certificate, held.0, held.1),
         hold_ticks: hold_limit_ticks(certificate, held.0, held.1, period_s),
@@ -166,7 +165,7 @@ impl Sampling {
             self.hold_s * 1e3,
             self.hold_ticks,
             self.held.0,
-            Units::of(law).v
+            law.units().v
         );
         text
     }

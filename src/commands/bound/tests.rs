@@ -261,6 +261,6 @@ fn every_number_of_a_certificate_has_a_key_and_a_unit_in_every_law_and_zero_is_a
 fn the_proven_error_of_one_link_is_the_largest_that_v_leaves_to_it() {
     let c = answer(&[]).certification.certificate;
     // With r = 0 all of V may be the error of one link.
-    let v = 0.5 * c.p * c.ultimate_e_link() * c.ultimate_e_link();
+    let v = 0.5 * c.on_r().unwrap().p * c.ultimate_e_link() * c.ultimate_e_link();
     assert!((v - c.v_ultimate()).abs() < 1e-12 * v, "{v} is not {}", c.v_ultimate());
 }

@@ -5,7 +5,7 @@
 //! the rule \[11], which knows the fastest mode alone, and by the spectral radius, which knows all of them.
 
 use loopbound_model::bound::stability::radius::spectral_radius;
-use loopbound_model::bound::stability::{critical_rate, fast_rate};
+use loopbound_model::certificate::boundary::critical_rate;
 use loopbound_model::chain::{Chain, Vector};
 use loopbound_model::law::{Law, LawKind};
 use loopbound_scenario::system;
@@ -78,18 +78,14 @@ impl<const N: usize> Probe<N> {
         scenario.plant.start_q_rad = Some(PerLink::All(0.0));
         let plant = scenario.build_truth::<N>()?.chain;
         let (lambda, mode) = fastest_mode(&plant);
-        let beta = scenario.controller.gains.beta;
-        let gain = lambda * if kind == LawKind::RobustFf { rate - beta } else { rate };
+        let Some(found) = kind.gains_for_rate(rate, lambda, &system::gains(&scenario, kind)) else { return Ok(None) };
         let gains = &mut scenario.controller.gains;
-        match kind {
-            LawKind::Robust | LawKind::RobustFf => gains.k_t = Some(gain),
-            LawKind::PdG => (gains.kp, gains.kd) = (beta * gain, gain),
-            LawKind::Ctc => return Ok(None),
-        }
+        (gains.k_t, gains.kp, gains.kd) = (found.k_t, found.k_p, found.k_d);
         scenario.plant.start_v_rad_s = Some(PerLink::Each(mode.iter().map(|u| STRIKE_RAD_S * u).collect()));
         let certificate = system::certificate_of::<N>(&scenario, kind)?;
         let law = system::law::<N>(&scenario, kind)?;
-        Ok(fast_rate(&certificate).map(|rate| Self { scenario, law, plant, mode, rate, gain }))
+        let gain = certificate.k_t();
+        Ok(certificate.fast_rate.map(|rate| Self { scenario, law, plant, mode, rate, gain }))
     }
 
     /// The largest delay (s) at a period, and the least where there is one: above a h = 2 a loop needs some delay.

@@ -1,8 +1,9 @@
 //! What the paper's study runs: the laws with their gains, the cases, and the scenario of each pair.
 
-use loopbound_model::bound::certificate::{Certificate, Gains, StartError, certificate};
-use loopbound_model::bound::stability::sampling_budget;
-use loopbound_model::law::LawKind;
+use loopbound_model::certificate::sampling::sampling_budget;
+use loopbound_model::certificate::start::StartError;
+use loopbound_model::certificate::{Certificate, Gains};
+use loopbound_model::law::{Gain, LawKind, certificate};
 use loopbound_scenario::system;
 use loopbound_scenario::{DisturbanceKind, DisturbanceSpec, Hertz, Mode, Nanos, PerLink, Scenario, ScenarioError};
 
@@ -147,7 +148,7 @@ impl Base {
         if N != 3 {
             let envelope = system::assumptions::<N>(&scenario)?.envelope();
             let needed = certificate(LawKind::Robust, &envelope, &system::gains(&scenario, LawKind::Robust), None);
-            scenario.controller.gains.c1 = Some((needed.c1_required + DISTURBANCE_NM * (N as f64).sqrt()).ceil());
+            scenario.controller.gains.c1 = Some((needed.c1_required() + DISTURBANCE_NM * (N as f64).sqrt()).ceil());
             scenario.controller.gains.level = needed_level::<N>(&scenario)?;
         }
         let found = system::certificate_of::<N>(&scenario, LawKind::Robust)?;
@@ -158,7 +159,7 @@ impl Base {
         let duration_s = (if quick { 16.0 } else { 40.0 } * 1e3 / rate_hz).max(if quick { 6.0 } else { 12.0 });
         scenario.loop_.duration = nanos(duration_s);
         scenario.loop_.settle = Some(nanos((duration_s / 2.0).min(10.0)));
-        Ok(Self { scenario, k_t: found.k_t })
+        Ok(Self { scenario, k_t: found.k_t() })
     }
 
     /// The scenario of a law in a case. The gains of the law are the same in every case; how they are accounted for is
@@ -200,7 +201,7 @@ fn account<const N: usize>(scenario: &mut Scenario) -> Result<(), ScenarioError>
     let mut best: Option<(Certificate, f64, f64)> = None;
     for level_step in 0..32 {
         let level = libm::exp2(f64::from(level_step) * 0.25 - 2.0);
-        let k3_steps = if matches!(law, LawKind::Robust | LawKind::RobustFf) { 25 } else { 1 };
+        let k3_steps = if law.uses(Gain::KTotal) { 25 } else { 1 };
         let k2_steps = if law == LawKind::RobustFf { 6 } else { 1 };
         for (k3_step, k2_step) in (0..k3_steps).flat_map(|a| (0..k2_steps).map(move |b| (a, b))) {
             let k3 = libm::exp2(f64::from(k3_step) * 0.25) * 0.008;
@@ -214,8 +215,8 @@ fn account<const N: usize>(scenario: &mut Scenario) -> Result<(), ScenarioError>
     if let Some((found, k3, k2)) = best {
         let gains = &mut scenario.controller.gains;
         (gains.level, gains.k3, gains.k2) = (found.level, k3, k2);
-        if law == LawKind::Robust {
-            gains.c1 = Some(found.c1_required);
+        if law.c1_nm().is_some() {
+            gains.c1 = Some(found.c1_required());
         }
     }
     Ok(())

@@ -233,7 +233,7 @@ fn judged(mut row: Row, designer: &Designer, measured: Option<&Scenario>) -> Row
     row.e_proven_lower_rad = latency.lower_ns.and_then(smallest).as_ref().map(proven);
     row.e_proven_upper_rad = latency.upper_ns.and_then(smallest).as_ref().map(proven);
     row.e_proven_rad = found.as_ref().map(proven);
-    row.k_t = found.map(|found| found.certificate.k_t);
+    row.k_t = found.map(|found| found.certificate.k_t());
     row.budget_used = measured.and_then(|scenario| budget_used(scenario, latency.value_ns).ok().flatten());
     row
 }

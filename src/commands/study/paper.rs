@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::io::Write as _;
 
-use loopbound_model::bound::stability::sampling_budget;
+use loopbound_model::certificate::sampling::sampling_budget;
 use loopbound_model::law::LawKind;
 use loopbound_model::quote;
 use loopbound_model::with_links;
@@ -111,7 +111,7 @@ pub fn table<const N: usize>(
 /// If a scenario of the study describes no system.
 fn trade_off<const N: usize>(base: &Base, quick: bool) -> Result<Vec<TradeOff>, ScenarioError> {
     let rate_hz = base.scenario.loop_.rate.0;
-    let required = system::certificate_of::<N>(&base.scenario, LawKind::Robust)?.c1_required;
+    let required = system::certificate_of::<N>(&base.scenario, LawKind::Robust)?.c1_required();
     // The certificate's level, and with it κ, does not depend on C1.
     let (_, boundary_nm) = at_boundary::<N>(&trade_off_scenario(base, rate_hz, required))?;
     let (low, high) = (1.0 / 8.0, boundary_nm.map_or(8.0, |c1| (2.0 * c1 / required).max(8.0)));
@@ -141,8 +141,8 @@ fn trade_off<const N: usize>(base: &Base, quick: bool) -> Result<Vec<TradeOff>, 
 fn at_boundary<const N: usize>(scenario: &Scenario) -> Result<(f64, Option<f64>), ScenarioError> {
     let certificate = system::certificate_of::<N>(scenario, LawKind::Robust)?;
     let used = sampling_budget(&certificate, scenario.period_ns() as f64 * 1e-9, 0.0).map(|budget| budget.used);
-    let left = used.map(|used| (certificate.k_t / used - certificate.k2 - certificate.kappa) / certificate.k3);
-    Ok((certificate.k_t, left.filter(|left| *left > 0.0).map(f64::sqrt)))
+    let left = used.zip(certificate.on_r()).map(|(used, of)| (of.k_t / used - of.k2 - of.kappa) / of.k3);
+    Ok((certificate.k_t(), left.filter(|left| *left > 0.0).map(f64::sqrt)))
 }
 
 fn trade_off_scenario(base: &Base, rate_hz: f64, c1_nm: f64) -> Scenario {

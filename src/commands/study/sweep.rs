@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::Path;
 
+use loopbound_model::certificate::Gains;
 use loopbound_model::law::LawKind;
 use loopbound_model::quote;
 use loopbound_model::with_links;
@@ -84,9 +85,11 @@ fn at<const N: usize>(law: LawKind, axis: Axis, rate: f64, delay_s: f64) -> Resu
 /// # Errors
 /// If the folder can't be written, or the law has no fast mode.
 pub fn run(args: &SweepArgs, axis: Axis) -> anyhow::Result<Exit> {
-    if args.law == LawKind::Ctc {
+    let has_fast_mode = |law: LawKind| law.gains_for_rate(1.0, 1.0, &Gains::of(law)).is_some();
+    if !has_fast_mode(args.law) {
+        let (law, allowed) = (args.law, LawKind::names(has_fast_mode));
         let why =
-            "--law: found ctc, allowed: robust, robust-ff, pd+g (ctc has no fast mode, and no gain that scales it)";
+            format!("--law: found {law}, allowed: {allowed} ({law} has no fast mode, and no gain that scales it)");
         return Err(Failure::usage(why).into());
     }
     let name = if axis == Axis::Delay { "delay" } else { "rate" };

@@ -1,9 +1,10 @@
 //! Simulated loops: no false alarm, and each kind of trouble laid to its cause.
 
 use super::*;
-use crate::bound::certificate::{Gains, certify};
-use crate::bound::testing::{assume, unit_chain};
+use crate::certificate::Gains;
+use crate::law::{LawKind, certify};
 use crate::rng::{Stream, uniform};
+use crate::testing::{assume, unit_chain};
 use crate::trajectory::Trajectory;
 use crate::truth::Disturbance;
 
@@ -21,8 +22,7 @@ impl Loop {
         let chain = unit_chain::<3>();
         let found = certify(kind, &assume(&chain, 0.0, disturbance_nm), gains, None);
         assert!(found.certificate.is_certified(), "{:?}", found.failures);
-        let Gains { beta, k_p, k_d, .. } = *gains;
-        let law = Law { kind, model: chain, beta, k_t: found.certificate.k_t, k_p, k_d };
+        let law = Law::new(kind, chain, gains, &found.certificate);
         Self { truth: Truth::ideal(chain), law, certificate: found.certificate, period_ns: 1_000_000, factor: 1.0 }
     }
 
@@ -242,7 +242,7 @@ fn a_torque_held_for_the_hold_limit_keeps_v_below_the_level() {
         let mut state = PlantState { q: draw(0) * 0.5, v: draw(3) * 4.0 };
         let sample = input(&state, &reference.at(0.0));
         let (v, tau) = (cert.v(&truth.chain, &sample), sound.law.torque(&sample));
-        let hold_s = crate::bound::stability::hold_limit_s(cert, v, tau.norm());
+        let hold_s = crate::certificate::sampling::hold_limit_s(cert, v, tau.norm());
         for step in 0..20 {
             let h_s = hold_s / 20.0;
             state = crate::integrator::rk4_step(&truth, &state, &tau, f64::from(step) * h_s, h_s);
@@ -261,7 +261,7 @@ fn above_the_level_or_without_a_law_or_a_certificate_nothing_is_diagnosed() {
     outside.certificate.level = 1.0;
     assert_eq!(outside.verdicts(0.001), [Verdict::OutsideLevel]);
     let mut blank = Loop::default();
-    blank.certificate = Certificate::default();
+    blank.certificate.certified = false;
     assert_eq!(blank.verdicts(0.001), [Verdict::NotCertified]);
     let sound = Loop::default();
     let foreign = Diagnosis { truth: &sound.truth, certificate: &sound.certificate, law: None, step_max_ns: 1_000_000 };

@@ -5,7 +5,7 @@
 #![expect(clippy::needless_range_loop, reason = "index notation mirrors the equations, and fixes the order of sums")]
 
 use crate::chain::{Chain, Matrix, Vector};
-use crate::law::{Law, LawKind};
+use crate::law::Law;
 
 /// Spectral radius at a configuration: the loop about rest at `q`, sampled every `period_s`, each torque acting from
 /// `delay_s` after its sample (any length) until the next one acts. Below 1 the linearised loop is stable.
@@ -87,16 +87,7 @@ fn inverse_mass<const N: usize>(plant: &Chain<N>, q: &Vector<N>) -> Matrix<N> {
 
 /// F of δτ = F (δq, δq̇), N rows of 2N, about e = 0 at rest.
 fn feedback<const N: usize>(law: &Law<N>, q: &Vector<N>) -> Vec<Vec<f64>> {
-    let unit = Matrix::<N>::identity();
-    let mass = law.model.mass_matrix(q);
-    let stiffness = Matrix::<N>::from_diagonal(&Vector::<N>::from_fn(|i, _| law.model.b()[i] * libm::cos(q[i])));
-    let Law { beta, k_t, k_p, k_d, .. } = *law;
-    let (on_q, on_v) = match law.kind {
-        LawKind::Robust => (unit * (-k_t * beta), unit * -k_t),
-        LawKind::RobustFf => (unit * (-k_t * beta) + stiffness, unit * -k_t - mass * beta),
-        LawKind::Ctc => (mass * -k_p + stiffness, mass * -k_d),
-        LawKind::PdG => (unit * -k_p + stiffness, unit * -k_d),
-    };
+    let (on_q, on_v) = law.at_rest(q);
     (0..N).map(|i| (0..2 * N).map(|j| if j < N { on_q[(i, j)] } else { on_v[(i, j - N)] }).collect()).collect()
 }
 

@@ -16,9 +16,9 @@
 
 use nalgebra::Complex;
 
-use crate::bound::envelope::generalised_eigen;
+use crate::certificate::envelope::generalised_eigen;
 use crate::chain::{Chain, Matrix, Vector};
-use crate::law::{Law, LawKind};
+use crate::law::Law;
 
 /// The loop about rest at one configuration, not yet sampled.
 #[derive(Clone, Debug)]
@@ -36,17 +36,8 @@ pub(super) struct Modal<const N: usize> {
 impl<const N: usize> Modal<N> {
     /// The loop of `law` with the chain `plant`, linearised about e = 0 at rest in the configuration `q`.
     pub(super) fn new(law: &Law<N>, plant: &Chain<N>, q: &Vector<N>) -> Self {
-        let stiffness =
-            |chain: &Chain<N>| Matrix::<N>::from_diagonal(&Vector::<N>::from_fn(|i, _| chain.b()[i] * libm::cos(q[i])));
-        let (lambda, modes) = generalised_eigen(&plant.mass_matrix(q), &stiffness(plant));
-        let (unit, mass, gravity) = (Matrix::<N>::identity(), law.model.mass_matrix(q), stiffness(&law.model));
-        let Law { beta, k_t, k_p, k_d, .. } = *law;
-        let (on_q, on_v) = match law.kind {
-            LawKind::Robust => (unit * (-k_t * beta), unit * -k_t),
-            LawKind::RobustFf => (unit * (-k_t * beta) + gravity, unit * -k_t - mass * beta),
-            LawKind::Ctc => (mass * -k_p + gravity, mass * -k_d),
-            LawKind::PdG => (unit * -k_p + gravity, unit * -k_d),
-        };
+        let (lambda, modes) = generalised_eigen(&plant.mass_matrix(q), &plant.gravity_rate(q));
+        let (on_q, on_v) = law.at_rest(q);
         let (on_q, on_v) = (modes.transpose() * on_q * modes, modes.transpose() * on_v * modes);
         let decoupled = nearly_diagonal(&on_q) && nearly_diagonal(&on_v);
         Self { lambda, on_q, on_v, decoupled }

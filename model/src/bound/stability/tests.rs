@@ -1,11 +1,12 @@
 //! The boundary against the spectral radius, and the figures that the documentation quotes.
 
 use super::radius::{SampledLoop, spectral_radius, worst_radius};
-use super::*;
-use crate::bound::certificate::{Gains, certify};
-use crate::bound::testing::{assume, close, default_start, unit_chain};
+use crate::certificate::boundary::critical_rate;
+use crate::certificate::sampling::{hold_limit_s, hold_limit_ticks, sampling_budget};
+use crate::certificate::{Certificate, Gains};
 use crate::chain::Vector;
-use crate::law::Law;
+use crate::law::{Law, LawKind, certify};
+use crate::testing::{assume, close, default_start, unit_chain};
 
 fn robust(gains: &Gains) -> Certificate {
     let found = certify(LawKind::Robust, &assume(&unit_chain::<3>(), 0.0, 0.0), gains, Some(&default_start()));
@@ -59,8 +60,8 @@ fn the_rates_of_the_laws_with_a_model_agree_with_their_spectral_radius() {
         let gains = Gains::of(kind);
         let cert = certify(kind, &assumptions, &gains, None).certificate;
         assert!(cert.is_certified());
-        let loop_law = law(kind, cert.k_t, gains.k_p, gains.k_d);
-        let rate = fast_rate(&cert).unwrap();
+        let loop_law = law(kind, cert.k_t(), gains.k_p, gains.k_d);
+        let rate = cert.fast_rate.unwrap();
         for (h, d) in [(1.0, 0.0), (1.0, 0.6), (0.4, 0.9)] {
             let unit = critical_rate(h, d) / rate;
             let radius = |part: f64| worst_radius(&loop_law, &plant, part * h * unit, part * d * unit, 4);
@@ -101,11 +102,11 @@ fn a_slow_exact_loop_has_the_radius_of_its_continuous_poles() {
 fn the_proven_age_is_a_small_fraction_of_a_millisecond() {
     let age = |beta, k2| {
         let gains = Gains { beta, k2, c1: Some(30.0), k3: 0.04, ..Gains::of(LawKind::Robust) };
-        let kappa = robust(&gains).kappa;
+        let kappa = robust(&gains).on_r().unwrap().kappa;
         // K_t = 107 in all: what κ and K2 leave goes against C1.
         let cert = robust(&Gains { k3: (107.0 - kappa - k2) / 900.0, ..gains });
-        close(cert.k_t, 107.0, 1e-9);
-        proven_age(&cert).unwrap().age_s
+        close(cert.k_t(), 107.0, 1e-9);
+        LawKind::Robust.proven_age(&cert).unwrap().age_s
     };
     close(age(5.0, 10.0), 0.180e-3, 5e-7);
     close(age(3.0, 6.0), 0.20e-3, 5e-6);
@@ -120,7 +121,10 @@ fn a_held_torque_keeps_the_level_for_seven_milliseconds() {
     for bad in [f64::NAN, f64::INFINITY, -1.0, cert.level] {
         assert_eq!(hold_limit_ticks(&cert, bad, 30.0, 1e-3), 0);
     }
-    assert_eq!(hold_limit_ticks(&Certificate::default(), 0.05, 30.0, 1e-3), 0);
+    let assumptions = assume(&unit_chain::<3>(), 0.0, 0.0);
+    let weak = certify(LawKind::Robust, &assumptions, &Gains { c1: Some(1.0), ..gains }, None).certificate;
+    assert!(!weak.is_certified());
+    assert_eq!(hold_limit_ticks(&weak, 0.05, 30.0, 1e-3), 0);
 }
 
 #[test]

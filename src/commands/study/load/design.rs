@@ -3,8 +3,8 @@
 use std::cell::RefCell;
 use std::collections::HashMap;
 
-use loopbound_model::bound::certificate::Certificate;
-use loopbound_model::bound::stability::sampling_budget;
+use loopbound_model::certificate::Certificate;
+use loopbound_model::certificate::sampling::sampling_budget;
 use loopbound_model::with_links;
 use loopbound_monitor::hops::HIGHEST_NS;
 use loopbound_scenario::system;
@@ -128,7 +128,7 @@ mod tests {
         let again = system::certificate_of::<3>(&scenario, LawKind::Robust).unwrap();
         assert!(again.is_certified());
         let found = found.certificate;
-        for (a, b) in [(again.ultimate_e, found.ultimate_e), (again.k_t, found.k_t)] {
+        for (a, b) in [(again.ultimate_e, found.ultimate_e), (again.k_t(), found.k_t())] {
             assert!((a / b - 1.0).abs() < 1e-9, "{a} {b}");
         }
         let used = budget_used(&scenario, 300e3).unwrap().unwrap();

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
-use loopbound_model::law::LawKind;
+use loopbound_model::law::{Gain, LawKind};
 use loopbound_scenario::{Hertz, Mode, Nanos, Scenario, Wakeup, parse_duration, parse_rate};
 use loopbound_shared::clock::{NS_PER_S, seconds};
 use serde::{Deserialize, Serialize};
@@ -199,8 +199,10 @@ impl LoadArgs {
         let (mut scenario, origin) = Scenario::read(self.scenario.as_deref(), &self.set)?;
         prepare::system_of(&scenario).map_err(|error| origin.locate(error))?;
         let law = scenario.controller.law;
-        if !matches!(law, LawKind::Robust | LawKind::RobustFf) {
-            let why = format!("controller.law: found {law}, allowed: robust, robust-ff (‖W‖ is searched for these)");
+        let has_k_t = |law: LawKind| law.uses(Gain::KTotal);
+        if !has_k_t(law) {
+            let allowed = LawKind::names(has_k_t);
+            let why = format!("controller.law: found {law}, allowed: {allowed} (‖W‖ is searched for these)");
             return Err(Failure::usage(why).into());
         }
         // Lockstep has no latency, and what a run is expected to show is not the question here.

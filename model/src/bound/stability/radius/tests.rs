@@ -2,8 +2,8 @@
 
 use super::super::{dense, modal};
 use super::*;
-use crate::bound::testing::{scaled_chain, unit_chain};
 use crate::law::LawKind;
+use crate::testing::{scaled_chain, unit_chain};
 
 /// A number between 0 and 1 that depends on its place alone.
 fn random(case: u32, lane: u32) -> f64 {

@@ -1,10 +1,10 @@
-//! Chains, assumptions and comparisons that the tests of this folder share.
+//! Chains, assumptions and comparisons that tests share.
 
 use crate::chain::{Chain, LinkParameters, Vector};
-use crate::law::LawInput;
+use crate::input::LawInput;
 use crate::trajectory::SupNorms;
 
-use super::envelope::Assumptions;
+use crate::certificate::envelope::Assumptions;
 
 /// N links of 1 kg and 1 m.
 pub(crate) fn unit_chain<const N: usize>() -> Chain<N> {

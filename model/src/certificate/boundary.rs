@@ -1,7 +1,7 @@
 //! The boundary of the fast mode ṙ = −a r, sampled every h and answered d later: \[11] for a constant delay, \[14] for
 //! one that jumps between two values.
 //!
-//! Pure mathematics of one rate; which law has which rate is the matter of the parent module.
+//! Pure mathematics of one rate; which law has which rate is the matter of the law.
 
 use core::f64::consts::PI;
 
@@ -106,7 +106,7 @@ fn bisect(mut holds: f64, mut fails: f64, holds_at: impl Fn(f64) -> bool) -> f64
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bound::testing::close;
+    use crate::testing::close;
 
     /// Growth of ṙ = −a r over many ticks whose delays (s, below the period) come from `delay_at`.
     fn grows(rate: f64, period_s: f64, delay_at: impl Fn(u32) -> f64) -> bool {
