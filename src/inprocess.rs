@@ -60,14 +60,15 @@ impl<const N: usize> InProcess<N> {
     /// Runs one tick; the record of the tick before, none in the first.
     pub fn step(&mut self) -> Option<&TickRecord> {
         let tick = self.tick;
-        let setpoint = self.reference.setpoint(tick, &self.reference.faults_at(tick));
+        let faults = self.reference.injector.at_tick(tick);
+        let setpoint = self.reference.setpoint(tick, &faults, 0);
         self.plant.setpoints.enter(&setpoint, N);
         let state = open(&mut self.plant, tick, &self.scenario);
         self.answers.clear();
         let mut killed = Vec::new();
         for (id, controller) in &mut self.controllers {
             controller.setpoints.enter(&setpoint, N);
-            let faults = controller.faults_at(tick);
+            let faults = controller.injector.at_tick(tick);
             if faults.kill {
                 killed.push(*id);
                 continue;

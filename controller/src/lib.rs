@@ -6,17 +6,29 @@
 //! A controller of your own is an executable that calls [`serve`] with a [`Controller`]; the launcher starts it as
 //! `EXE --group G --id N --scenario FILE`.
 
+mod arguments;
 mod builtin;
-mod core;
 mod lockstep;
+mod ports;
 mod realtime;
-mod serve;
+mod tick;
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use loopbound_model::law::LawKind;
+use loopbound_model::with_links;
+use loopbound_scenario::{Mode, Scenario};
+use loopbound_shared::clock;
+use loopbound_shared::event::{Phase, Role};
+use loopbound_shared::realtime::{self as privileges, EvidenceReader};
+use loopbound_shared::role::{self, RoleArgs, RoleError};
+use loopbound_shared::sample::Announce;
+
+pub use arguments::parse_args;
 pub use builtin::Builtin;
-pub use core::ControllerCore;
-pub use serve::{parse_args, run, serve, serve_until};
-
 pub use loopbound_model::claim::Claim;
+use ports::Ports;
+pub use tick::ControllerCore;
 
 /// What a controller sees of one tick. Every slice has one entry a link.
 #[derive(Clone, Copy, Debug)]
@@ -50,4 +62,67 @@ pub trait Controller {
 
     /// The torque of a tick, N·m, one entry a link, conjugate to the absolute angles. `tau` comes in as zeros.
     fn torque(&mut self, input: &Input<'_>, tau: &mut [f64]);
+}
+
+/// Runs the built-in law that the scenario names, or `law`, until the group ends or `stop` is set.
+///
+/// # Errors
+/// If the group can't be joined or its scenario describes no system.
+pub fn run(args: &RoleArgs, law: Option<LawKind>, stop: &'static AtomicBool) -> Result<(), RoleError> {
+    fn with<const N: usize>(
+        args: &RoleArgs,
+        scenario: &Scenario,
+        law: LawKind,
+        stop: &'static AtomicBool,
+    ) -> Result<(), RoleError> {
+        let law = Builtin::<N>::new(scenario, law)?;
+        serve_until(law, args, stop)
+    }
+    let scenario = Scenario::load(&args.scenario)?;
+    let law = law.unwrap_or(scenario.controller.law);
+    with_links!(scenario.links(), with::<N>(args, &scenario, law, stop))
+}
+
+/// Runs a controller of one's own until the group ends. SIGTERM ends the process as it does by default; a supervisor
+/// cleans up after it.
+///
+/// # Errors
+/// If the group can't be joined.
+pub fn serve(controller: impl Controller, args: &RoleArgs) -> Result<(), RoleError> {
+    static NEVER: AtomicBool = AtomicBool::new(false);
+    serve_until(controller, args, &NEVER)
+}
+
+/// [`serve`], until the group ends or `stop` is set.
+///
+/// # Errors
+/// If the group can't be joined.
+pub fn serve_until(controller: impl Controller, args: &RoleArgs, stop: &'static AtomicBool) -> Result<(), RoleError> {
+    if let Some(parent) = args.parent {
+        privileges::die_with_parent(parent).map_err(|e| RoleError::Other(format!("the launcher: {e}")))?;
+    }
+    let ports = Ports::open(role::join(args)?)?;
+    let scenario = ports.joined.scenario.clone();
+    let mut core = ControllerCore::new(&scenario, args.id, controller);
+    let mut wanted = role::realtime_request(&scenario, Role::Controller);
+    if ports.joined.block.pace().plant_tick.load(Ordering::Relaxed) > 0 {
+        // The group runs: starting up must not keep the active controller from its core. The supervisor raises it later.
+        wanted.priority = wanted.priority.min(1);
+    }
+    let mut entered = privileges::enter(&wanted);
+    let prefix = ports.joined.group.prefix();
+    entered.populate_shared(&[prefix.as_str()]);
+    let mut evidence = EvidenceReader::open();
+    ports.update_connections();
+    ports.drain_setpoints(&mut core.setpoints, scenario.links());
+    realtime::warm_up(&mut core, &mut evidence, scenario.links());
+    let ready = core.announcement(entered.privileges());
+    ports.announce.send(ready);
+    let stopped = || stop.load(Ordering::Relaxed) || ports.joined.block.pace().plant_ended.load(Ordering::Relaxed) != 0;
+    match scenario.loop_.mode {
+        Mode::Lockstep => lockstep::run(&mut core, &ports, &stopped),
+        Mode::Realtime => realtime::run(&mut core, &ports, &mut evidence, &stopped),
+    }
+    ports.announce.send(Announce { phase: Phase::Ended.code(), published_ns: clock::now_ns(), ..ready });
+    Ok(())
 }

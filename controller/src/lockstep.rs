@@ -3,12 +3,11 @@
 
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::Bell;
-use loopbound_shared::role;
 use loopbound_shared::sample::state_flag;
 
 use crate::Controller;
-use crate::core::ControllerCore;
-use crate::serve::Ports;
+use crate::ports::Ports;
+use crate::tick::ControllerCore;
 
 /// How long to spin for the next state before sleeping at the doorbell: a few ticks of lockstep.
 const SPIN_NS: u64 = 20_000;
@@ -39,10 +38,8 @@ pub(crate) fn run<C: Controller>(core: &mut ControllerCore<C>, ports: &Ports, st
                 core.setpoints.has(state.tick).then_some(())
             });
         }
-        let faults = core.faults_at(state.tick);
-        if faults.kill {
-            role::kill_self();
-        }
+        let faults = core.injector.at_tick(state.tick);
+        core.injector.take_time(&faults);
         let mut torque = core.answer(&state, &faults);
         core.stamp_virtually(&state, &mut torque);
         ports.torques.send(torque);

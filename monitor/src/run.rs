@@ -11,14 +11,14 @@ use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 
 use loopbound_model::with_links;
 use loopbound_scenario::Mode;
-use loopbound_shared::clock::{now_ns, seconds, sleep_ns, sleep_until_ns_or_signal, wait_until_ns, wall_time};
+use loopbound_shared::clock::{now_ns, seconds, sleep_ns, sleep_until_ns_or_signal, wall_time};
 use loopbound_shared::doorbell::{Bell, ControlBlock};
 use loopbound_shared::event::{MessageKind, Phase, Role};
-use loopbound_shared::fault::FaultPlan;
+use loopbound_shared::fault::Injector;
 use loopbound_shared::group::file_of;
 use loopbound_shared::ports::{Announces, Publisher, Subscriber};
 use loopbound_shared::realtime::{Privileges, die_with_parent};
-use loopbound_shared::role::{Joined, RoleArgs, RoleError, announce, build_id, join, kill_self};
+use loopbound_shared::role::{Joined, RoleArgs, RoleError, announce, build_id, join};
 use loopbound_shared::sample::{Announce, TickRecord, record_flag};
 use loopbound_shared::say;
 use loopbound_shared::topics::Topic;
@@ -134,18 +134,12 @@ pub fn run(args: &MonitorArgs, stop: &AtomicBool) -> Result<Outcome, RoleError> 
     Ok(outcome)
 }
 
-/// The monitor's own injected faults, also those of ticks that it did not see.
-fn inject(faults: &FaultPlan, record: &TickRecord, last_tick: Option<u64>) {
+/// Injects the monitor's own faults, also those of ticks that it did not see.
+fn inject(faults: &Injector<()>, record: &TickRecord, last_tick: Option<u64>) {
     // The first record that it sees is no gap: those before it were never meant for it.
     let from = last_tick.map_or(record.tick, |last| last + 1);
-    for tick in if faults.is_empty() { 0..0 } else { from..record.tick + 1 } {
-        let actions = faults.at_tick(tick);
-        if actions.kill {
-            kill_self();
-        }
-        if actions.hang_ns > 0 {
-            wait_until_ns(now_ns().saturating_add(actions.hang_ns));
-        }
+    for tick in if faults.has_no_plan() { 0..0 } else { from..record.tick + 1 } {
+        faults.take_time(&faults.at_tick(tick));
     }
 }
 
@@ -195,7 +189,7 @@ struct Watch<'a, const N: usize> {
     judged_blocks: usize,
     last_record_ns: u64,
     last_seen: bool,
-    faults: FaultPlan,
+    faults: Injector<()>,
 }
 
 impl<'a, const N: usize> Watch<'a, N> {
@@ -245,7 +239,7 @@ impl<'a, const N: usize> Watch<'a, N> {
             judged_blocks: 0,
             last_record_ns: now_ns,
             last_seen: false,
-            faults: FaultPlan::for_target(scenario, loopbound_scenario::Role::Monitor, args.id),
+            faults: Injector::new(scenario, loopbound_scenario::Role::Monitor, args.id),
         })
     }
 

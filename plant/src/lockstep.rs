@@ -3,12 +3,12 @@
 
 use std::sync::atomic::Ordering;
 
-use loopbound_scenario::Scenario;
+use loopbound_scenario::{Role, Scenario};
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::Bell;
-use loopbound_shared::fault::ROGUE_WRITER;
-use loopbound_shared::role;
-use loopbound_shared::sample::{State, Torque, torque_flag};
+use loopbound_shared::fault::Injector;
+use loopbound_shared::fault::injector::arrivals;
+use loopbound_shared::sample::{State, Torque};
 
 use crate::answers::Answers;
 use crate::ports::{Orders, Ports};
@@ -23,7 +23,8 @@ const PACE_TICKS: u64 = 256;
 
 pub(crate) fn run<const N: usize>(core: &mut PlantCore<N>, ports: &Ports, stopped: &dyn Fn() -> bool) {
     let Some(orders) = ports.await_start(core, stopped) else { return };
-    let mut cycle = Cycle { core, ports, orders, stopped };
+    let injector = Injector::new(&ports.joined.scenario, Role::Plant, ports.id);
+    let mut cycle = Cycle { core, ports, orders, injector, stopped };
     let mut tick = 0;
     while !cycle.orders.is_over(tick) {
         if cycle.one_tick(tick).is_none() {
@@ -39,6 +40,7 @@ struct Cycle<'a, const N: usize> {
     core: &'a mut PlantCore<N>,
     ports: &'a Ports,
     orders: Orders,
+    injector: Injector<State>,
     stopped: &'a dyn Fn() -> bool,
 }
 
@@ -46,9 +48,7 @@ impl<const N: usize> Cycle<'_, N> {
     /// One tick; none if the group was stopped meanwhile.
     fn one_tick(&mut self, tick: u64) -> Option<()> {
         self.announce(tick);
-        if self.ports.faults.at_tick(tick).kill {
-            role::kill_self();
-        }
+        self.injector.take_time(&self.injector.at_tick(tick));
         self.wait(tick)?;
         let state = open(self.core, tick, &self.ports.joined.scenario);
         self.ports.states.send(state);
@@ -162,23 +162,16 @@ pub fn judge<const N: usize>(core: &mut PlantCore<N>, answers: &mut [Torque], ti
             core.authority.came_late(torque, arrives_ns);
         } else {
             core.arrive(torque, arrives_ns);
-            apply_injected(core, torque, arrives_ns);
+            for arrival in arrivals(torque) {
+                if arrival.in_its_tick {
+                    core.arrive(&arrival.torque, arrives_ns);
+                } else {
+                    core.authority.journal.counters.stale += 1;
+                }
+            }
         }
     }
     if !grace_passed {
         core.grace_passed(grace_ns);
-    }
-}
-
-/// What in realtime are further samples: here the torque itself says that they come, so that no two runs differ.
-fn apply_injected<const N: usize>(core: &mut PlantCore<N>, torque: &Torque, arrives_ns: u64) {
-    if torque.flags & torque_flag::TWICE != 0 {
-        core.arrive(torque, arrives_ns);
-    }
-    if torque.flags & torque_flag::AFTER_ITS_TIME != 0 {
-        core.authority.journal.counters.stale += 1;
-    }
-    if torque.flags & torque_flag::ROGUE != 0 {
-        core.arrive(&Torque { writer: ROGUE_WRITER, flags: 0, ..*torque }, arrives_ns);
     }
 }

@@ -2,11 +2,10 @@
 
 use std::sync::atomic::Ordering;
 
-use loopbound_scenario::{Mode, Role};
+use loopbound_scenario::Mode;
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::Bell;
 use loopbound_shared::event::{CommandKind, LiveFault, Refusal};
-use loopbound_shared::fault::FaultPlan;
 use loopbound_shared::ports::{Announces, CommandServer, Publisher, Subscriber};
 use loopbound_shared::role::{Joined, RoleError};
 use loopbound_shared::sample::{
@@ -31,7 +30,8 @@ pub(crate) struct Ports {
     commands: CommandServer,
     pub(crate) torque_bell: Waiter,
     pub(crate) state_bell: Ringer,
-    pub(crate) faults: FaultPlan,
+    /// Its number among the plants.
+    pub(crate) id: u32,
     /// Dropped last: the hold on the group outlives the ports.
     pub(crate) joined: Joined,
 }
@@ -97,7 +97,7 @@ impl Ports {
             commands: node.command_server()?,
             torque_bell: Waiter::new(node, mode, Bell::Torque)?,
             state_bell: Ringer::new(node, mode, Bell::State)?,
-            faults: FaultPlan::for_target(&joined.scenario, Role::Plant, id),
+            id,
             joined,
         })
     }
@@ -115,7 +115,7 @@ impl Ports {
             commands,
             torque_bell: _,
             state_bell: _,
-            faults: _,
+            id: _,
             joined: _,
         } = self;
         // What can't be mapped now belongs to a process that is just dying; the next look finds it gone.

@@ -9,9 +9,9 @@
 
 use std::sync::atomic::Ordering;
 
-use loopbound_scenario::Scenario;
+use loopbound_scenario::{Role, Scenario};
 use loopbound_shared::clock;
-use loopbound_shared::fault::FaultActions;
+use loopbound_shared::fault::{FaultActions, Injector};
 use loopbound_shared::realtime::EvidenceReader;
 use loopbound_shared::role;
 use loopbound_shared::sample::{State, TickRecord, state_flag};
@@ -68,7 +68,9 @@ pub(crate) fn run<const N: usize>(core: &mut PlantCore<N>, ports: &Ports, stoppe
     core.start_at(times.t_0_ns);
     exchange(core, ports, times.t_0_ns - times.period_ns);
     let duty = Duty { awake_since_ns: clock::now_ns() };
-    let mut cycle = Cycle { core, ports, times, orders, evidence, duty, faults: OwnFaults::default(), spin_gap_ns: 0 };
+    let injector = Injector::new(scenario, Role::Plant, ports.id);
+    let faults = FaultActions::default();
+    let mut cycle = Cycle { core, ports, times, orders, evidence, duty, injector, faults, spin_gap_ns: 0 };
     let mut tick = 0;
     while !stopped() && !cycle.orders.is_over(tick) {
         tick = cycle.one_tick(tick);
@@ -84,7 +86,9 @@ struct Cycle<'a, const N: usize> {
     orders: Orders,
     evidence: EvidenceReader,
     duty: Duty,
-    faults: OwnFaults,
+    injector: Injector<State>,
+    /// What is injected in the open tick.
+    faults: FaultActions,
     /// The longest gap seen while spinning in the open tick, ns.
     spin_gap_ns: u64,
 }
@@ -163,7 +167,12 @@ impl<const N: usize> Cycle<'_, N> {
         if let Some(took_ns) = mapped_ns {
             self.core.note_join(took_ns);
         }
-        self.faults.begin(self.core, self.ports, tick);
+        self.faults = self.injector.at_tick(tick);
+        if self.faults.any() {
+            self.core.note_fault(None);
+            self.injector.take_time(&self.faults);
+            self.injector.step_clock(&self.faults);
+        }
         if let Some(injected) = &mut self.orders.injected {
             injected.mark(self.core, tick);
         }
@@ -175,10 +184,12 @@ impl<const N: usize> Cycle<'_, N> {
         let (ports, now_ns) = (self.ports, clock::now_ns());
         let grace_deadline_ns = self.times.grace_deadline_ns(state.tick, now_ns);
         let squeezed = grace_deadline_ns.saturating_sub(now_ns) < self.times.grace_ns / 2;
-        state.published_ns = self.faults.stamp_ns(now_ns);
+        state.published_ns = self.injector.stamp_ns(now_ns);
         state.grace_deadline_ns = grace_deadline_ns;
         self.core.stamp_published(state.published_ns, grace_deadline_ns, squeezed);
-        self.faults.publish(ports, &state);
+        self.injector.publish(state, &self.faults, |state| {
+            ports.states.send(state);
+        });
         let block = &ports.joined.block;
         ports.state_bell.ring(block);
         block.pace().plant_tick.store(state.tick, Ordering::Release);
@@ -283,54 +294,4 @@ fn exchange<const N: usize>(core: &PlantCore<N>, ports: &Ports, deadline_ns: u64
     });
     ports.state_bell.ring(block);
     ports.torque_bell.wait(block, now_ns, now_ns + 300_000, &mut 0, || ports.torques.take());
-}
-
-/// The faults injected into the plant itself, and what of them lasts beyond a tick.
-#[derive(Default)]
-struct OwnFaults {
-    /// Those of the open tick.
-    actions: FaultActions,
-    /// A state that is published after its successor.
-    kept_back: Option<State>,
-    clock_off_ns: i64,
-}
-
-impl OwnFaults {
-    /// Finds the faults of a tick; those that take time, or end the process, are over on return.
-    fn begin<const N: usize>(&mut self, core: &mut PlantCore<N>, ports: &Ports, tick: u64) {
-        self.actions = ports.faults.at_tick(tick);
-        let FaultActions { kill, hang_ns, delay_ns, clock_step_ns, .. } = self.actions;
-        if !self.actions.any() {
-            return;
-        }
-        core.note_fault(None);
-        if kill {
-            role::kill_self();
-        }
-        if hang_ns > 0 || delay_ns > 0 {
-            clock::wait_until_ns(clock::now_ns().saturating_add(hang_ns).saturating_add(delay_ns));
-        }
-        self.clock_off_ns = self.clock_off_ns.saturating_add(clock_step_ns);
-    }
-
-    /// The stamp of an instant by this process's clock, which a fault may have stepped.
-    fn stamp_ns(&self, now_ns: u64) -> u64 {
-        now_ns.saturating_add_signed(self.clock_off_ns)
-    }
-
-    /// Sends the state of the open tick, as its faults have it.
-    fn publish(&mut self, ports: &Ports, state: &State) {
-        let kept_back = self.kept_back.take();
-        if self.actions.reorder {
-            self.kept_back = Some(*state);
-        } else if !self.actions.drop {
-            ports.states.send(*state);
-        }
-        if self.actions.duplicate {
-            ports.states.send(*state);
-        }
-        if let Some(older) = kept_back {
-            ports.states.send(older);
-        }
-    }
 }

@@ -1,11 +1,11 @@
 //! Which ticks the scenario's own faults leave without an answer in real time: those of a process that gives none say nothing of
 //! themselves, since nothing came that could say it.
 //!
-//! The plan of faults is a pure function of the tick, so a monitor recomputes it. A fault strikes in a tick that its process
+//! The plan of faults is a pure function of the tick, so a monitor recomputes it. A fault is injected in a tick that its process
 //! handles. One that hangs, or whose delay is longer than a period, handles nothing until it is over, and then the newest.
 
 use loopbound_scenario::{Role, Scenario};
-use loopbound_shared::fault::{FaultActions, FaultPlan};
+use loopbound_shared::fault::FaultPlan;
 
 /// Ticks that are asked one by one; of a longer gap in the records the last ones.
 const GAP_MAX: u64 = 100_000;
@@ -29,15 +29,15 @@ impl Process {
         if tick < self.handles {
             return;
         }
-        let FaultActions { kill, hang_ns, delay_ns, drop, nan, reorder, .. } = self.plan.at_tick(tick);
-        let pause_ns = hang_ns.saturating_add(delay_ns);
+        let actions = self.plan.at_tick(tick);
+        let pause_ns = actions.pause_ns();
         let pause = pause_ns / period_ns.max(1);
-        if kill || hang_ns == u64::MAX {
+        if actions.kill || actions.hang_ns == u64::MAX {
             (self.handles, self.answers) = (u64::MAX, u64::MAX);
         } else if pause_ns >= period_ns {
             self.handles = tick.saturating_add(pause.max(1));
             self.answers = self.answers.max(tick.saturating_add(pause).saturating_add(1));
-        } else if drop || nan || reorder || hang_ns > 0 {
+        } else if actions.leaves_no_sample() {
             self.answers = self.answers.max(tick.saturating_add(1));
         }
     }
@@ -87,16 +87,16 @@ impl Planned {
     /// Whether a fault keeps controller `id` from answering the tick that was taken last in time.
     #[must_use]
     pub fn silences(&self, id: u32) -> bool {
-        self.is_struck(Role::Controller, id)
+        self.is_silenced(Role::Controller, id)
     }
 
     /// Whether a fault keeps the setpoint of the tick that was taken last away.
     #[must_use]
     pub fn withholds_setpoint(&self) -> bool {
-        self.is_struck(Role::Reference, 1)
+        self.is_silenced(Role::Reference, 1)
     }
 
-    fn is_struck(&self, role: Role, id: u32) -> bool {
+    fn is_silenced(&self, role: Role, id: u32) -> bool {
         let process = self.processes.iter().find(|process| process.role == role && process.id == id);
         process.is_some_and(|process| self.next <= process.answers && process.answers > 0)
     }
@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fault_strikes_in_a_tick_that_is_handled() {
+    fn a_fault_is_injected_in_a_tick_that_is_handled() {
         let text = "[[fault]]\nkind = \"hang\"\nfor = \"3ms\"\nat = 10\n[[fault]]\nkind = \"drop\"\nat = 12\n[[fault]]\nkind = \"drop\"\nat = 21";
         let mut planned = Planned::of(&Scenario::from_toml(text, "test").unwrap());
         let mut silenced = |tick: u64, skipped: u64| {

@@ -1,5 +1,5 @@
-//! Where the supervisor writes a fault that befalls a controller of the running group, and the controller reads it: a few
-//! words of the control block.
+//! The fault that is injected by command into a controller of the running group: the supervisor writes it into a few words of
+//! the control block, and the controller reads it
 //!
 //! One writer, any number of readers, no lock: the version is odd while the words are being written, and a reader that
 //! finds it odd, or changed when it has read them, looks again in its next slack. A look costs one load when there is
@@ -13,9 +13,9 @@ use crate::event::LiveFault;
 /// A fault that was asked for while the group runs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Injected {
-    /// What happens.
+    /// Its kind.
     pub kind: LiveFault,
-    /// The controller that it happens to.
+    /// The controller that it is injected into.
     pub target: u32,
     /// The first tick.
     pub first: u64,
@@ -28,8 +28,8 @@ pub struct Injected {
 }
 
 impl Injected {
-    /// Adds what befalls controller `id` in `tick`. What ends or stops a process comes as a signal from the supervisor,
-    /// and is nothing that the process does.
+    /// Adds what is injected into controller `id` in `tick`. What ends or stops a process comes as a signal from the
+    /// supervisor; the process itself injects nothing then.
     pub fn add_to(&self, actions: &mut FaultActions, id: u32, tick: u64) {
         if id != self.target || !(self.first..self.end).contains(&tick) {
             return;
@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fault_strikes_its_controller_in_its_ticks_and_in_no_others() {
+    fn a_fault_is_injected_into_its_controller_in_its_ticks_and_in_no_others() {
         let fault = Injected { kind: LiveFault::Delay, target: 2, first: 10, end: 12, delay_ns: 700, value_nm: 3.0 };
         let actions = |fault: &Injected, id: u32, tick: u64| {
             let mut actions = FaultActions { delay_ns: 50, ..FaultActions::default() };

@@ -249,9 +249,7 @@ impl<const N: usize> Engine<N> {
     fn law_torque(&self, id: u32, answered: &Answered<N>) -> Option<Vector<N>> {
         let known = self.controllers.iter().find(|known| known.id == id)?;
         let mut tau = known.law.torque(&answered.input);
-        if let Some((link, value_nm)) = known.faults.at_tick(answered.tick).glitch {
-            tau[link.min(N - 1)] += value_nm;
-        }
+        known.faults.at_tick(answered.tick).spoil(tau.as_mut_slice());
         Some(tau)
     }
 

@@ -1,9 +1,8 @@
 //! One tick of a controller without a clock: setpoint, law, injected faults. All modes drive this same code.
 
-use loopbound_scenario::{Mode, Role, Scenario};
+use loopbound_scenario::{Role, Scenario};
 use loopbound_shared::event::{self, Phase};
-use loopbound_shared::fault::board::{Board, Injected};
-use loopbound_shared::fault::{FaultActions, FaultPlan};
+use loopbound_shared::fault::{FaultActions, Injector};
 use loopbound_shared::realtime::Privileges;
 use loopbound_shared::role;
 use loopbound_shared::sample::{Announce, Origin, State, Torque, torque_flag};
@@ -16,15 +15,10 @@ pub struct ControllerCore<C> {
     controller: C,
     /// The setpoints that have come.
     pub setpoints: SetpointBook,
-    faults: FaultPlan,
-    /// The newest one that was injected by command, and the board's version then.
-    injected: Option<Injected>,
-    board_seen: u64,
+    /// The faults that are injected into this controller.
+    pub injector: Injector<Torque>,
     id: u32,
     links: usize,
-    virtual_time: bool,
-    /// How far this process's stamps are off, on purpose.
-    clock_off_ns: i64,
 }
 
 impl<C: Controller> ControllerCore<C> {
@@ -34,19 +28,27 @@ impl<C: Controller> ControllerCore<C> {
         Self {
             controller,
             setpoints: SetpointBook::new(scenario.period_ns()),
-            faults: FaultPlan::for_target(scenario, Role::Controller, id),
-            injected: None,
-            board_seen: 0,
+            injector: Injector::new(scenario, Role::Controller, id),
             id,
             links: scenario.links(),
-            virtual_time: scenario.loop_.mode == Mode::Lockstep,
-            clock_off_ns: 0,
         }
     }
 
     /// The controller inside.
     pub fn controller(&self) -> &C {
         &self.controller
+    }
+
+    /// Its number in the group.
+    #[must_use]
+    pub const fn id(&self) -> u32 {
+        self.id
+    }
+
+    /// How many links its torques have.
+    #[must_use]
+    pub const fn links(&self) -> usize {
+        self.links
     }
 
     /// Says who this is, and which law it claims to be.
@@ -60,37 +62,16 @@ impl<C: Controller> ControllerCore<C> {
         ready
     }
 
-    /// What befalls this controller in a tick, on purpose.
-    #[must_use]
-    pub fn faults_at(&self, tick: u64) -> FaultActions {
-        let mut actions = self.faults.at_tick(tick);
-        if let Some(injected) = &self.injected {
-            injected.add_to(&mut actions, self.id, tick);
-        }
-        actions
-    }
-
-    /// Looks for a fault that was injected by command since the last look.
-    pub fn heed(&mut self, board: &Board) {
-        self.injected = board.read_newer(&mut self.board_seen).or(self.injected);
-    }
-
-    /// An instant as this process stamps it: the clock may have been set wrong on purpose.
-    #[must_use]
-    pub fn stamp_ns(&self, now_ns: u64) -> u64 {
-        now_ns.saturating_add_signed(self.clock_off_ns)
-    }
-
-    /// Virtual stamps: everything happens at s_k, but for what is delayed on purpose.
+    /// Virtual stamps: everything happens at s_k, except what an injected fault delays.
     pub fn stamp_virtually(&self, state: &State, torque: &mut Torque) {
-        torque.received_ns = self.stamp_ns(state.published_ns);
-        torque.published_ns = self.stamp_ns(state.published_ns + torque.virtual_delay_ns);
+        torque.received_ns = self.injector.stamp_ns(state.published_ns);
+        torque.published_ns = self.injector.stamp_ns(state.published_ns + torque.virtual_delay_ns);
     }
 
     /// The answer to a state. Stamps other than those of its inputs are left to the loop. A state that has no setpoint
     /// yet, or that a fault lets go unanswered, is answered by the marker *withheld*, which only lockstep publishes.
     pub fn answer(&mut self, state: &State, faults: &FaultActions) -> Torque {
-        self.clock_off_ns = self.clock_off_ns.saturating_add(faults.clock_step_ns);
+        self.injector.step_clock(faults);
         let mut torque = Torque {
             origin: Origin::in_process(event::Role::Controller),
             tick: state.tick,
@@ -123,26 +104,7 @@ impl<C: Controller> ControllerCore<C> {
             a_d: &setpoint.a_d[..n],
         };
         self.controller.torque(&input, &mut torque.tau[..n]);
-        self.spoil(&mut torque, faults);
+        self.injector.spoil(&mut torque, faults);
         torque
-    }
-
-    fn spoil(&self, torque: &mut Torque, faults: &FaultActions) {
-        if faults.nan {
-            torque.tau[..self.links].fill(f64::NAN);
-        }
-        if let Some((link, value_nm)) = faults.glitch {
-            torque.tau[link.min(self.links - 1)] += value_nm;
-        }
-        if self.virtual_time {
-            torque.virtual_delay_ns = faults.delay_ns;
-            let mark = |happens: bool, flag: u32| if happens { flag } else { 0 };
-            torque.flags |= mark(faults.duplicate, torque_flag::TWICE)
-                | mark(faults.reorder, torque_flag::WITHHELD | torque_flag::AFTER_ITS_TIME)
-                | mark(faults.rogue_nm.is_some(), torque_flag::ROGUE);
-        }
-        if faults.drop || faults.hang_ns > 0 {
-            torque.flags |= torque_flag::WITHHELD;
-        }
     }
 }
