@@ -5,57 +5,63 @@
 //! on the thread that calls [`supervise`] and are gone when it returns, however it returns.
 
 mod child;
+mod cleaning;
 mod clients;
 mod control;
 mod ending;
 mod faults;
+mod hearing;
 pub mod keeper;
 pub mod needs;
+mod notices;
 pub mod prepare;
 pub mod processes;
 mod prolong;
 mod record;
+mod restarts;
 pub mod results;
+mod retirements;
 mod roster;
 mod starting;
 mod succession;
 mod swapping;
 mod watchdog;
 
-use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::atomic::Ordering::SeqCst;
 
 use anyhow::Context as _;
-use loopbound_monitor::files::LOST_FILE;
 use loopbound_monitor::folder::Results;
-use loopbound_scenario::controllers;
 use loopbound_scenario::{Mode, Restart, Role, Scenario};
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::{Bell, ControlBlock};
-use loopbound_shared::event::{self, CommandKind, Phase, Refusal, ReplyKind};
+use loopbound_shared::event::{self, CommandKind, Refusal, ReplyKind};
 use loopbound_shared::group::{Group, room};
-use loopbound_shared::ports::{CommandClient, Node, Subscriber};
+use loopbound_shared::ports::{CommandClient, Node};
 use loopbound_shared::realtime::wait_any_end;
-use loopbound_shared::sample::{Announce, Command, Reply, State, TickRecord, Torque};
-use loopbound_shared::topics::Topic as _;
+use loopbound_shared::sample::{Command, Reply};
 
 use crate::exit::{Exit, Failure};
 use crate::progress::Progress;
 use crate::signals::Stop;
 use child::Child;
+use cleaning::Cleaning;
 pub use control::{Answer, FILE as CONTROL_FILE, FaultReport, FaultRequest, Request, SwapReport, SwapRequest, connect};
 use control::{Client, Control};
-use faults::Hanging;
+use faults::Injection;
+use hearing::Hearing;
 use keeper::Keeper;
+use notices::Notices;
 use processes::Process;
+use prolong::Prolonging;
 use record::privileges;
 pub use record::{Death, ProcessRecord, Record};
+use restarts::Restarts;
 use results::Asked;
+use retirements::Retirements;
 use roster::RosterFile;
 pub(crate) use roster::pid_namespace;
 pub use roster::{Entry, FILE as ROSTER_FILE, Roster};
-use succession::{Due, Retirement};
 use swapping::Swapping;
 use watchdog::Watchdog;
 
@@ -65,9 +71,6 @@ const LOOK_NS: u64 = 50_000_000;
 const SWAP_LOOK_NS: u64 = 5_000_000;
 /// A role that ends in order within this time before the plant ended with it.
 const TOGETHER_NS: u64 = 500_000_000;
-/// How long after a death the transport is looked through at every look, and how often without one: it takes milliseconds.
-const CLEAN_AGAIN_NS: u64 = 200_000_000;
-const CLEAN_EVERY_NS: u64 = 5_000_000_000;
 /// Time for the plant to answer a command, besides two of its periods.
 const ANSWER_NS: u64 = 1_000_000_000;
 
@@ -119,42 +122,22 @@ struct Supervisor<'a> {
     scenario: &'a Scenario,
     options: &'a Options<'a>,
     commands: CommandClient,
-    announcements: Subscriber<Announce>,
-    states: Subscriber<State>,
-    /// The last closed tick alone, for the roster.
-    closed: Subscriber<TickRecord>,
-    newest: Option<TickRecord>,
-    /// Lockstep: who has answered which tick, to know whom the plant waits for.
-    torques: Option<Subscriber<Torque>>,
-    answered: Vec<(u32, u64)>,
-    /// The last tick whose state the plant has published.
-    opened: Option<u64>,
-    /// The first tick that the plant does not run any more.
-    stop_tick: u64,
-    due: VecDeque<Due>,
-    retirements: Vec<Retirement>,
+    hearing: Hearing,
+    prolonging: Prolonging,
+    restarts: Restarts,
+    retirements: Retirements,
     control: Control,
     /// The swap under way, and who waits for its answer.
     swap: Option<(Client, Swapping)>,
-    /// The controller that was stopped on purpose, until it goes on.
-    hanging: Option<Hanging>,
-    /// Until when an injected fault lasts: one at a time.
-    fault_until_ns: u64,
-    /// Whether it was said that the run is not recorded any more.
-    loss_told: bool,
-    /// The number of the next controller that is started.
-    next_id: u32,
+    injection: Injection,
     deaths: Vec<Death>,
     roster: RosterFile,
     /// The controller in charge, 0 before the start.
     active: u32,
     started_ns: u64,
     ready_ns: u64,
-    /// When the transport was looked through for the dead, and until when it is at every look.
-    cleaned_ns: u64,
-    clean_until_ns: u64,
-    /// Whether it was said that strangers speak in this run.
-    strangers_noted: bool,
+    cleaning: Cleaning,
+    notices: Notices,
     block: ControlBlock,
     node: Node,
     group: Group,
@@ -199,30 +182,20 @@ impl<'a> Supervisor<'a> {
             scenario,
             options,
             commands: node.command_client()?,
-            announcements: node.subscriber(Announce::DEPTH)?.uncounted(),
-            states: node.subscriber(1)?.uncounted(),
-            closed: node.subscriber(1)?.uncounted(),
-            newest: None,
-            torques: lockstep.then(|| node.subscriber(1)).transpose()?.map(Subscriber::uncounted),
-            answered: Vec::new(),
-            opened: None,
-            stop_tick: scenario.loop_.ticks(),
-            due: VecDeque::new(),
-            retirements: Vec::new(),
+            hearing: Hearing::open(&node, lockstep)?,
+            prolonging: Prolonging::new(scenario),
+            restarts: Restarts::new(scenario),
+            retirements: Retirements::default(),
             control: Control::open(&group).context("the group's socket")?,
             swap: None,
-            hanging: None,
-            fault_until_ns: 0,
-            loss_told: false,
-            next_id: controllers::of(scenario).iter().map(|part| part.id).max().unwrap_or(0) + 1,
+            injection: Injection::default(),
             deaths: Vec::new(),
             roster: RosterFile::default(),
             active: 0,
             started_ns: clock::now_ns(),
             ready_ns: 0,
-            cleaned_ns: clock::now_ns(),
-            clean_until_ns: 0,
-            strangers_noted: false,
+            cleaning: Cleaning::new(clock::now_ns()),
+            notices: Notices::default(),
             block,
             node,
             group,
@@ -242,7 +215,7 @@ impl<'a> Supervisor<'a> {
     }
 
     fn lockstep(&self) -> bool {
-        self.torques.is_some()
+        self.scenario.loop_.mode == Mode::Lockstep
     }
 
     fn tick(&self) -> u64 {
@@ -264,7 +237,9 @@ impl<'a> Supervisor<'a> {
         loop {
             self.resume_due();
             let look_ns = if self.swap.is_some() { SWAP_LOOK_NS } else { LOOK_NS };
-            self.wait_for_an_end(self.until_resumed_ns().map_or(look_ns, |ns| ns.min(look_ns)));
+            self.wait_for_an_end(
+                self.injection.until_resumed_ns(clock::now_ns()).map_or(look_ns, |ns| ns.min(look_ns)),
+            );
             self.listen();
             if let Some(exit) = self.options.stop.requested() {
                 return End::Stopped(exit);
@@ -279,7 +254,7 @@ impl<'a> Supervisor<'a> {
             self.clean_up_now_and_then();
             self.note_strangers();
             self.prolong_if_undecided();
-            self.tell_loss();
+            self.note_loss();
             self.options.progress.set_position(self.tick());
             if watchdog.stalled(clock::now_ns(), self.tick()) {
                 self.kill_who_is_silent();
@@ -296,12 +271,9 @@ impl<'a> Supervisor<'a> {
         }
     }
 
-    /// Hears announcements, states and, in lockstep, torques; keeps the roster.
+    /// Takes what was said since the last look; keeps the roster.
     fn listen(&mut self) {
-        while let Some(announce) = self.announcements.take() {
-            if announce.phase != Phase::Ready.code() {
-                continue;
-            }
+        while let Some(announce) = self.hearing.next_ready() {
             // What a newcomer and the loop made together: the loop itself has no time for it.
             if self.group.take_room().is_err() {
                 self.note("/dev/shm is full: whoever joins now may fail");
@@ -314,9 +286,7 @@ impl<'a> Supervisor<'a> {
                 self.admit(pid);
             }
         }
-        let state = self.states.latest();
-        self.opened = state.map(|state| state.tick).or(self.opened);
-        if let Some(state) = state
+        if let Some(state) = self.hearing.latest_state()
             && state.active != self.active
             && self.active != 0
             && state.active != 0
@@ -325,17 +295,9 @@ impl<'a> Supervisor<'a> {
             self.active = state.active;
             self.set_priorities();
         }
-        if let Some(torques) = &self.torques {
-            while let Some((writer, tick)) = torques.take_with(|t| (t.writer, t.tick)) {
-                match self.answered.iter_mut().find(|(id, _)| *id == writer) {
-                    Some(entry) => entry.1 = entry.1.max(tick),
-                    None => self.answered.push((writer, tick)),
-                }
-            }
-        }
-        // Readers pass over a record without links: it is of the warm-up.
-        self.newest = self.closed.latest().filter(|record| record.links != 0).or(self.newest);
-        let roster = roster::roster(self.group.name(), &self.children, self.active, self.newest.as_ref());
+        self.hearing.hear_torques();
+        let newest = self.hearing.newest_closed();
+        let roster = roster::roster(self.group.name(), &self.children, self.active, newest);
         self.roster.update(&self.group, roster);
     }
 
@@ -403,16 +365,11 @@ impl<'a> Supervisor<'a> {
         self.node.clean_up_dead_nodes();
     }
 
-    /// At every look. A guest that was killed is noticed by its place in the control block; its ports are free when the
-    /// transport has noticed too, which may be a look or two later.
+    /// At every look.
     fn clean_up_now_and_then(&mut self) {
-        let now_ns = clock::now_ns();
-        if self.block.clear_places_of_the_dead() > 0 {
-            self.clean_until_ns = now_ns + CLEAN_AGAIN_NS;
-        }
-        if now_ns < self.clean_until_ns || now_ns >= self.cleaned_ns + CLEAN_EVERY_NS {
+        let freed = self.block.clear_places_of_the_dead();
+        if self.cleaning.look(clock::now_ns(), freed) {
             self.node.clean_up_dead_nodes();
-            self.cleaned_ns = now_ns;
         }
     }
 
@@ -442,30 +399,6 @@ impl<'a> Supervisor<'a> {
         self.commands.ask(command, timeout_ns).map_err(|e| e.to_string())
     }
 
-    /// Says once, at once, that a process outside this run speaks in it; the report has the counts.
-    fn note_strangers(&mut self) {
-        let writers = self.block.writers();
-        if self.strangers_noted {
-            return;
-        }
-        let first = event::MessageKind::ALL.iter().find(|kind| writers.strangers(**kind) > 0);
-        if let Some(kind) = first {
-            self.strangers_noted = true;
-            self.note(&format!("a process that is not of this run sends it a {}: refused and counted", kind.words()));
-        }
-    }
-
-    /// Says once, and at once, that the monitor can't record any more.
-    fn tell_loss(&mut self) {
-        if self.loss_told {
-            return;
-        }
-        if let Ok(why) = std::fs::read_to_string(self.group.file(LOST_FILE)) {
-            self.loss_told = true;
-            self.note(&format!("the recording has ended: {why}; the run goes on"));
-        }
-    }
-
     /// Says something while the run goes on, above the progress bar.
     fn note(&self, line: &str) {
         if !self.options.quiet {
@@ -487,7 +420,7 @@ impl<'a> Supervisor<'a> {
             group: self.group.name().to_owned(),
             start_up_ns: self.ready_ns.saturating_sub(self.started_ns),
             end: end.to_string(),
-            ticks_planned: self.stop_tick,
+            ticks_planned: self.prolonging.stop_tick(),
             processes: self.children.iter().map(process).collect(),
             deaths: self.deaths.clone(),
         }

@@ -83,7 +83,7 @@ impl Supervisor<'_> {
         let to = match request.to {
             Some(to) if self.controllers().any(|c| c.process.id == to && c.ready() && c.member) => to,
             Some(to) => return client.answer(&self.at_once(Refusal::UnknownController, to)),
-            None => self.take_id(),
+            None => self.restarts.take_id(),
         };
         if request.to.is_none() {
             let process = Process {
@@ -156,11 +156,11 @@ impl Supervisor<'_> {
             }
             // An exchange with a standby retires nobody.
             if started {
-                self.plan_retirement(from, self.scenario.swap_gate.retire_after.ns());
+                self.retirements.plan(clock::now_ns(), from, self.scenario.swap_gate.retire_after.ns());
             }
         } else if started {
             // At the next look: by then it is known who is active now.
-            self.plan_dismissal(to);
+            self.retirements.dismiss(clock::now_ns(), to);
         }
         let why = report.reason.as_ref().map_or_else(String::new, |why| format!(": {why}"));
         self.note(&format!("swap from controller {from} to {to} in tick {}: {}{why}", report.tick, report.result));

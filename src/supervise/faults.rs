@@ -28,10 +28,29 @@ const AFTER_NS: u64 = 25_000_000;
 /// Time for a killed controller's successor to take over; marking ends when it does.
 const SUCCESSION_NS: u64 = 3_000_000_000;
 
-/// A controller that was stopped on purpose.
-pub(super) struct Hanging {
-    pid: u32,
+/// The fault under way: one at a time.
+#[derive(Debug, Default)]
+pub(super) struct Injection {
     until_ns: u64,
+    /// The process that was stopped on purpose, and when it goes on.
+    hanging: Option<(u32, u64)>,
+}
+
+impl Injection {
+    fn is_under_way(&self, now_ns: u64) -> bool {
+        now_ns < self.until_ns
+    }
+
+    /// Time to sleep until whoever was stopped goes on; none if nobody is. The last stretch is spun.
+    pub(super) fn until_resumed_ns(&self, now_ns: u64) -> Option<u64> {
+        let (_, due_ns) = self.hanging?;
+        Some(due_ns.saturating_sub(clock::SPIN_LAST_NS).saturating_sub(now_ns))
+    }
+
+    /// Who has to go on, and when exactly, as soon as that is a short wait.
+    fn look(&self, now_ns: u64) -> Option<(u32, u64)> {
+        self.hanging.filter(|_| self.until_resumed_ns(now_ns) == Some(0))
+    }
 }
 
 /// A request that makes sense.
@@ -124,7 +143,7 @@ impl Supervisor<'_> {
     /// Returns the first tick that it can show in.
     fn strike(&mut self, wanted: Wanted, target: u32) -> Result<u64, String> {
         let now_ns = clock::now_ns();
-        if now_ns < self.fault_until_ns {
+        if self.injection.is_under_way(now_ns) {
             return Err("another fault is under way".to_owned());
         }
         let known = |child: &&Child| child.process.id == target && child.ready() && child.member;
@@ -144,20 +163,20 @@ impl Supervisor<'_> {
             ..Command::zeroed()
         })?;
         let first = reply.tick;
-        self.fault_until_ns = now_ns + ahead * period_ns;
+        self.injection.until_ns = now_ns + ahead * period_ns;
         match wanted.kind {
             LiveFault::Delay | LiveFault::Drop | LiveFault::Nan | LiveFault::Glitch => {
                 let end = first + wanted.for_ns.div_ceil(period_ns);
                 let Wanted { kind, delay_ns, value_nm, .. } = wanted;
                 self.block.faults().write(&Injected { kind, target, first, end, delay_ns, value_nm });
-                self.fault_until_ns += wanted.for_ns;
+                self.injection.until_ns += wanted.for_ns;
             }
             LiveFault::Kill => self.to_process(pid, Child::kill),
             LiveFault::Hang => {
                 self.to_process(pid, Child::stop);
                 let until_ns = clock::now_ns() + wanted.for_ns;
-                self.hanging = Some(Hanging { pid, until_ns });
-                self.fault_until_ns = until_ns;
+                self.injection.hanging = Some((pid, until_ns));
+                self.injection.until_ns = until_ns;
             }
         }
         Ok(first)
@@ -167,26 +186,18 @@ impl Supervisor<'_> {
         self.children.iter().filter(|child| child.pid == pid).for_each(act);
     }
 
-    /// Time to sleep until whoever was stopped goes on; none if nobody is. The last stretch is spun.
-    pub(super) fn until_resumed_ns(&self) -> Option<u64> {
-        let due_ns = self.hanging.as_ref()?.until_ns.saturating_sub(clock::SPIN_LAST_NS);
-        Some(due_ns.saturating_sub(clock::now_ns()))
-    }
-
     /// Lets go on who was stopped for long enough.
     pub(super) fn resume_due(&mut self) {
-        if let Some(until_ns) = self.hanging.as_ref().map(|hanging| hanging.until_ns)
-            && self.until_resumed_ns() == Some(0)
-        {
-            clock::wait_until_ns(until_ns);
+        if let Some((_, at_ns)) = self.injection.look(clock::now_ns()) {
+            clock::wait_until_ns(at_ns);
             self.resume();
         }
     }
 
     /// Lets go on who was stopped: at the end of the group a stopped process could not end in order.
     pub(super) fn resume(&mut self) {
-        if let Some(hanging) = self.hanging.take() {
-            self.to_process(hanging.pid, Child::resume);
+        if let Some((pid, _)) = self.injection.hanging.take() {
+            self.to_process(pid, Child::resume);
         }
     }
 }
@@ -234,5 +245,16 @@ mod tests {
         let delay = FaultRequest { for_ns: Some(7), delay_ns: Some(5), ..of("delay") };
         assert_eq!(wanted(&delay).unwrap().marked_ns(), 12);
         assert!(wanted(&of("hang")).unwrap().marked_ns() > FOR_NS);
+    }
+
+    #[test]
+    fn whoever_was_stopped_goes_on_when_its_time_is_over_and_one_fault_ends_before_the_next() {
+        let injection = Injection { until_ns: 90_000_000, hanging: Some((7, 90_000_000)) };
+        assert!(injection.is_under_way(89_999_999) && !injection.is_under_way(90_000_000));
+        let spin_ns = 90_000_000 - clock::SPIN_LAST_NS;
+        assert_eq!(injection.look(spin_ns - 1), None);
+        assert_eq!(injection.until_resumed_ns(spin_ns - 1), Some(1));
+        assert_eq!(injection.look(spin_ns), Some((7, 90_000_000)));
+        assert_eq!(Injection::default().until_resumed_ns(0), None);
     }
 }

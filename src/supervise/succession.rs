@@ -13,26 +13,6 @@ use super::child::Child;
 use super::ending::LEAVE_NS;
 use crate::supervise::processes::Process;
 
-/// Time between two looks whether a dismissed controller has lost its authority.
-const ASK_AGAIN_NS: u64 = 200_000_000;
-
-/// A process that is to be started again.
-pub(super) struct Due {
-    process: Process,
-    restarts: u32,
-    /// The number of the one that died.
-    replaces: u32,
-    at_ns: u64,
-}
-
-/// A controller that was replaced and goes when its time as a standby is over.
-pub(super) struct Retirement {
-    id: u32,
-    at_ns: u64,
-    /// Goes as soon as it is not in charge; otherwise one that is in charge again by then stays.
-    insist: bool,
-}
-
 impl Supervisor<'_> {
     /// A process that joined a running group is ready: the plant learns of a controller, and a death is recovered.
     pub(super) fn admit(&mut self, pid: u32) {
@@ -56,28 +36,19 @@ impl Supervisor<'_> {
         }
     }
 
-    /// Notes when to start it again, twice as late each time. In lockstep a controller is not: the tick in which it
-    /// would be back depends on the machine, and runs would differ.
+    /// Notes when to start it again. In lockstep a controller is not: the tick in which it would be back depends on the
+    /// machine, and runs would differ.
     pub(super) fn plan_restart(&mut self, process: Process, restarts: u32, replaces: u32) {
-        let section = &self.scenario.supervisor;
-        let given_up = restarts >= section.restarts_max;
-        if given_up || (self.lockstep() && process.role == Role::Controller) {
-            return;
+        if !(self.lockstep() && process.role == Role::Controller) {
+            self.restarts.plan(clock::now_ns(), process, restarts, replaces);
         }
-        let doubled = section.back_off.ns().saturating_mul(1 << restarts.min(30));
-        let at_ns = clock::now_ns().saturating_add(doubled.min(section.back_off_max.ns()));
-        self.due.push_back(Due { process, restarts: restarts + 1, replaces, at_ns });
     }
 
     pub(super) fn start_due(&mut self) {
-        for _ in 0..self.due.len() {
-            let Some(mut due) = self.due.pop_front() else { return };
-            if due.at_ns > clock::now_ns() {
-                self.due.push_back(due);
-                continue;
-            }
+        let now_ns = clock::now_ns();
+        while let Some(mut due) = self.restarts.look(now_ns) {
             if due.process.role == Role::Controller {
-                due.process.id = self.take_id();
+                due.process.id = self.restarts.take_id();
             }
             match self.start_child(due.process.clone(), due.restarts) {
                 Ok(mut child) => {
@@ -94,17 +65,6 @@ impl Supervisor<'_> {
         }
     }
 
-    /// The number of a controller that is about to be started.
-    pub(super) fn take_id(&mut self) -> u32 {
-        self.next_id += 1;
-        self.next_id - 1
-    }
-
-    /// `id` has been replaced: it stays as a standby for `after_ns`.
-    pub(super) fn plan_retirement(&mut self, id: u32, after_ns: u64) {
-        self.retirements.push(Retirement { id, at_ns: clock::now_ns().saturating_add(after_ns), insist: false });
-    }
-
     /// Authority went from `from` to `to` in `tick`: if the scenario had scheduled that, `from` is replaced for good, unless
     /// a later swap goes back to it. Before its tick the new one is a standby, which may have to step in: nobody is replaced
     /// by that. In lockstep `from` stays: when it would go depends on the machine.
@@ -116,26 +76,14 @@ impl Supervisor<'_> {
         let needed = self.scenario.swap.iter().any(|swap| swap.to == Some(from));
         let lives = self.controllers().any(|c| c.process.id == from && c.lives());
         if scheduled && lives && !needed && !self.lockstep() {
-            self.plan_retirement(from, self.scenario.swap_gate.retire_after.ns());
+            self.retirements.plan(clock::now_ns(), from, self.scenario.swap_gate.retire_after.ns());
         }
-    }
-
-    /// `id` was refused: it goes at the next look, or when it has lost the authority that a failover gave it.
-    pub(super) fn plan_dismissal(&mut self, id: u32) {
-        self.retirements.push(Retirement { id, at_ns: clock::now_ns() + 1, insist: true });
     }
 
     /// Lets those go whose time is over.
     pub(super) fn retire_due(&mut self) {
         let now_ns = clock::now_ns();
-        while let Some(at) = self.retirements.iter().position(|r| r.at_ns <= now_ns) {
-            let Retirement { id, insist, .. } = self.retirements.remove(at);
-            if id == self.active {
-                if insist {
-                    self.retirements.push(Retirement { id, at_ns: now_ns + ASK_AGAIN_NS, insist });
-                }
-                continue;
-            }
+        while let Some(id) = self.retirements.look(now_ns, self.active) {
             let of = |c: &Child| c.process.role == Role::Controller && c.process.id == id;
             let Some(index) = self.children.iter().position(of) else { continue };
             if self.children[index].member && self.children[index].lives() {

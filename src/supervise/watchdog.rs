@@ -65,14 +65,14 @@ impl Supervisor<'_> {
         }
         self.listen();
         // Before it samples it needs room at the monitor, and the setpoint of the very tick.
-        if self.opened.is_none_or(|opened| opened < tick) {
+        if !self.hearing.has_opened(tick) {
             let no_room = self.block.pace().credit.load(SeqCst) <= tick;
             return self.living(if no_room { Role::Monitor } else { Role::Reference });
         }
         let mut silent = self.living(Role::Controller);
         silent.retain(|&index| {
             let id = self.children[index].process.id;
-            !self.answered.iter().any(|(writer, last)| *writer == id && *last >= tick)
+            !self.hearing.has_answered(id, tick)
         });
         // With all that it waits for it would go on.
         if silent.is_empty() { self.living(Role::Plant) } else { silent }
