@@ -62,7 +62,7 @@ Examples:
   loopbound monitor --group lb-4711 --foxglove 8765    live in Foxglove, at ws://127.0.0.1:8765
   loopbound monitor --group lb-4711 --foxglove 0.0.0.0:8765   the same, for other machines too")]
     Monitor(monitor::MonitorOptions),
-    /// Replace the controller in charge of a running group, without a missed tick.
+    /// Replace the active controller of a running group, without a missed tick.
     #[command(after_help = "\
 Examples:
   loopbound swap --group lb-4711 --law ctc             as soon as the gate passes
@@ -71,7 +71,7 @@ Examples:
   loopbound swap --group lb-4711 --to 2 --json         to the standby with number 2
 Exit code 4: refused or rolled back; the old controller is still in charge.")]
     Swap(swap::SwapArgs),
-    /// Let something go wrong with a controller of a running group, on purpose.
+    /// Inject a fault into a controller of a running group.
     #[command(after_help = "\
 Examples:
   loopbound fault --group lb-4711 delay                every torque too late, for 100 ms
@@ -100,7 +100,7 @@ Examples:
     /// List the running groups of this user and their processes.
     #[command(after_help = "Examples:\n  loopbound ps\n  loopbound ps --json")]
     Ps(options::JsonArgs),
-    /// Examine this machine: what will delay a loop here, what it costs, and the command that mends it.
+    /// Examine this machine: what will delay a loop here, what it costs, and the command that fixes it.
     #[command(after_help = "Examples:\n  loopbound doctor\n  loopbound doctor --json")]
     Doctor(options::JsonArgs),
     /// Remove what killed groups left in shared memory; running groups are not touched.

@@ -151,12 +151,12 @@ pub fn render(report: &Report) -> String {
             text.push_str(&wrapped("        costs: ", cost));
         }
         if let Some(mend) = &finding.mend {
-            text.push_str(&format!("        mend:  {mend}\n"));
+            text.push_str(&format!("        fix:   {mend}\n"));
         }
     }
     let count = |status| report.findings.iter().filter(|finding| finding.status == status).count();
     let (bad, warn, unknown) = (count(Status::Bad), count(Status::Warn), count(Status::Unknown));
-    text.push_str(&format!("{bad} bad, {warn} to mend if you can, {unknown} unknown, {} good\n", count(Status::Good)));
+    text.push_str(&format!("{bad} bad, {warn} to fix if you can, {unknown} unknown, {} good\n", count(Status::Good)));
     text
 }
 

@@ -20,7 +20,7 @@ pub struct FaultArgs {
     /// What goes wrong: delay, drop, nan, glitch, kill or hang.
     #[arg(value_parser = word::<LiveFault>)]
     pub kind: LiveFault,
-    /// The controller that it befalls; default the one in charge.
+    /// The controller it is injected into; default the active one.
     #[arg(long, value_name = "ID")]
     pub controller: Option<u32>,
     /// How much later each torque comes, of a delay; default beyond the grace, so that it is missed.

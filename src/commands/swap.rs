@@ -93,7 +93,7 @@ fn text(report: &SwapReport) -> String {
         };
         line("because", format!("{reason}{numbers}"));
         if report.result != "done" {
-            line("in charge", format!("controller {from}, as before"));
+            line("active", format!("controller {from}, as before"));
         }
     }
     if report.torque_step_nm.is_empty() {

@@ -62,7 +62,7 @@ pub struct SwapRequest {
 pub struct FaultRequest {
     /// The name of a [`LiveFault`](loopbound_shared::event::LiveFault).
     pub kind: String,
-    /// The controller that it befalls; the one in charge if none is named.
+    /// The controller it is injected into; the active one if none is named.
     pub controller: Option<u32>,
     /// How much later each torque comes; of a delay, which needs it not: late enough to be missed.
     pub delay_ns: Option<u64>,
@@ -82,7 +82,7 @@ pub struct FaultReport {
     pub group: String,
     /// What was injected.
     pub kind: String,
-    /// The controller that it befalls.
+    /// The controller it is injected into.
     pub controller: u32,
     /// The first tick that it can show in.
     pub tick: u64,
@@ -150,7 +150,7 @@ impl Request {
 pub struct SwapReport {
     /// The group.
     pub group: String,
-    /// The controller in charge before.
+    /// The active controller before.
     pub from: u32,
     /// The one that was to take over.
     pub to: u32,

@@ -18,7 +18,7 @@ pub const RUN_VARIABLE: &str = "LOOPBOUND_RUN";
 pub struct Process {
     /// Its role.
     pub role: Role,
-    /// Its id within the role; controllers count from 1, and the first is in charge at the start.
+    /// Its id within the role; controllers count from 1, and the first is active at the start.
     pub id: u32,
     /// The law of a controller of ours.
     pub law: Option<LawKind>,

@@ -59,7 +59,7 @@ impl RosterFile {
     }
 }
 
-/// The present roster; `active` is the controller in charge, 0 before the start, and `newest` the last closed tick.
+/// The present roster; `active` is the active controller, 0 before the start, and `newest` the last closed tick.
 pub(super) fn roster(group: &str, children: &[Child], active: u32, newest: Option<&TickRecord>) -> Roster {
     let own = |state: &str| Entry {
         role: "supervisor".to_owned(),
@@ -96,7 +96,7 @@ fn state(child: &Child, active: u32, newest: Option<&TickRecord>) -> &'static st
     }
 }
 
-/// What the receipts of a tick say of a controller that is not in charge.
+/// What the receipts of a tick say of a controller that is not active.
 fn standing(id: u32, record: &TickRecord) -> &'static str {
     let answer = record.receipts.iter().find(|receipt| receipt.writer == id);
     match answer.and_then(|receipt| Acceptance::from_code(receipt.acceptance)) {

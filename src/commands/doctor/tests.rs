@@ -137,10 +137,10 @@ fn what_was_refused_to_this_user_is_bad_and_names_the_command() {
     let keys: Vec<_> = report.findings.iter().map(|finding| (finding.key, finding.status)).take(3).collect();
     assert_eq!(keys, [("sched_fifo", Status::Bad), ("stalls", Status::Bad), ("memory_lock", Status::Warn)]);
     let text = render(&report);
-    assert!(text.contains("mend:  sudo prlimit --rtprio=99 --pid $$"), "{text}");
+    assert!(text.contains("fix:   sudo prlimit --rtprio=99 --pid $$"), "{text}");
     assert!(text.contains("limited to 8192 KiB"), "{text}");
     assert!(text.contains("longest 3000 us"), "{text}");
-    assert!(text.ends_with("2 bad, 1 to mend if you can, 0 unknown, 18 good\n"), "{text}");
+    assert!(text.ends_with("2 bad, 1 to fix if you can, 0 unknown, 18 good\n"), "{text}");
 }
 
 #[test]
@@ -234,7 +234,7 @@ fn the_text_keeps_to_its_width_for_every_finding_at_its_worst() {
         assert!(line.chars().count() <= COLUMNS, "{} columns: {line}", line.chars().count());
     }
     for mend in report.findings.iter().filter_map(|finding| finding.mend.as_deref()) {
-        assert!(render(&report).contains(&format!("mend:  {mend}\n")), "broken over lines: {mend}");
+        assert!(render(&report).contains(&format!("fix:   {mend}\n")), "broken over lines: {mend}");
     }
 }
 

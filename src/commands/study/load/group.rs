@@ -209,9 +209,7 @@ fn read_summary(out: &Path, code: Option<i32>, said: &str) -> Result<Summary, Ru
 fn check_rights(summary: &Summary) -> Result<(), RunError> {
     let missing = summary.processes.iter().flat_map(|process| &process.missing);
     match missing.into_iter().find(|missing| missing.step == Step::SchedFifo.name()) {
-        Some(missing) => {
-            Err(RunError::Refused(format!("SCHED_FIFO is refused here; what mends it: {}", missing.remedy)))
-        }
+        Some(missing) => Err(RunError::Refused(format!("SCHED_FIFO is refused here; remedy: {}", missing.remedy))),
         None => Ok(()),
     }
 }
