@@ -254,7 +254,9 @@ impl<const N: usize> Tracker<N> {
                 return false;
             }
             Some(last) => {
-                let ticks = (record.tick - last - 1).saturating_sub(record.skipped_before);
+                // Also those that were skipped between records that did not come: their counts are cumulative.
+                let skipped = record.counters.skipped.saturating_sub(self.counters.skipped).max(record.skipped_before);
+                let ticks = (record.tick - last - 1).saturating_sub(skipped);
                 if ticks > 0 {
                     seen.gaps = seen.gaps.saturating_add(ticks);
                     self.jitter.skip();

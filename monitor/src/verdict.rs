@@ -75,6 +75,9 @@ fn unlike_scheduled(swap: &SwapSummary) -> String {
     format!("the swap to controller {to} that is scheduled for tick {tick} was {result}{why}")
 }
 
+/// Of so many ticks one may go unseen before nothing can be said of the run as a whole.
+const UNSEEN_PER: u64 = 100;
+
 /// All that is to be said of the figures, each with the headline that it makes.
 fn findings(summary: &Summary) -> Vec<(Headline, String)> {
     let bound = &summary.bound;
@@ -122,6 +125,12 @@ fn findings(summary: &Summary) -> Vec<(Headline, String)> {
     for shortfall in bound.shortfalls.iter().filter(|_| uncertified) {
         find(true, Headline::NotCertified, shortfall.clone());
     }
+    let (gaps, run) = (summary.monitor_gaps, summary.ticks_seen.saturating_add(summary.monitor_gaps));
+    find(
+        gaps > run / UNSEEN_PER,
+        Headline::Inconclusive,
+        format!("{gaps} of {run} ticks were not seen by the monitor: nothing is known of them"),
+    );
     find(
         bound.certified && bound.checked == 0 && summary.ticks_seen > 0,
         Headline::NotChecked,

@@ -202,7 +202,11 @@ impl<const N: usize> Cycle<'_, N> {
         // Also when all is settled: the authority wants to know once a tick.
         self.core.grace_passed(clock::now_ns());
         if !self.core.authority.is_settled() {
+            let slept = clock::now_ns() < cutoff_ns && self.ports.torque_bell.sleeps();
             self.await_until(cutoff_ns);
+            if slept && !self.core.authority.is_settled() {
+                self.duty.note_sleep();
+            }
         }
     }
 
@@ -241,6 +245,11 @@ struct Duty {
 }
 
 impl Duty {
+    /// A wait has slept: with nobody to answer, the sleep before a tick may always be over already.
+    fn note_sleep(&mut self) {
+        self.awake_since_ns = clock::now_ns();
+    }
+
     /// The longest time without sleep, and the sleep that is then forced; the ticks it costs are overruns.
     const AWAKE_MAX_NS: u64 = 100_000_000;
     const REST_NS: u64 = 15_000_000;

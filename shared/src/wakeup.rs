@@ -65,6 +65,12 @@ impl Waiter {
         }
     }
 
+    /// Whether a wait of this mode sleeps where nothing comes.
+    #[must_use]
+    pub fn sleeps(&self) -> bool {
+        self.mode != Wakeup::Spin
+    }
+
     /// Whether this mode wakes before the expected instant and spins towards it.
     #[must_use]
     pub fn is_time_triggered(&self) -> bool {

@@ -1,6 +1,7 @@
 //! What the end of a run adds to the verdict on its figures: a signal, a lost role, an end before its time.
 
 use loopbound_monitor::Summary;
+use loopbound_scenario::Role;
 use loopbound_shared::headline::Headline;
 
 use crate::exit::Exit;
@@ -37,7 +38,9 @@ fn findings(record: &Record, summary: Option<&Summary>, stopped: Option<Exit>) -
     if let Some(first) = summary.first_tick.filter(|first| *first > 0 && record.ticks_planned > 0) {
         let skipped = summary.ticks_seen >= summary.ticks;
         if !skipped {
-            let reason = format!("no tick before {first} was seen: the monitor was lost and started again");
+            let lost = record.deaths.iter().any(|death| death.role == Role::Monitor.name());
+            let why = if lost { ": the monitor was lost and started again" } else { " by the monitor" };
+            let reason = format!("no tick before {first} was seen{why}");
             found.push((Headline::Inconclusive, reason));
         }
     }

@@ -113,7 +113,8 @@ impl<const N: usize> Figures<N> {
         let violated = found.verdict.is_violation();
         let aware = violated && !found.verdict.is_explained_by_delay();
         self.count(|counts| {
-            counts.checked += 1;
+            // Above the level nothing is promised, and so nothing is checked.
+            counts.checked += u64::from(found.verdict != Verdict::OutsideLevel);
             counts.verdicts[at] += 1;
             counts.violations += u64::from(violated);
             counts.delay_aware += u64::from(aware);

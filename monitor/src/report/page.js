@@ -250,10 +250,10 @@ function head(run, at) {
   const mood = run.mood === 'good' && reasons.length ? 'warn' : run.mood;
   add(at, `<div class="verdict"><span class="badge ${mood}">${esc(status)}</span><div><h1>${esc(run.name)}</h1><span class="note">${esc(s.written ?? '')} · ${esc(s.mode ?? '')} · ${esc(whose(s.bound ?? {}))} · loopbound ${esc(s.version ?? '')}</span></div></div>`);
   if (run.meaning) add(at, `<p class="note"><b>${esc(status)}</b>: ${esc(run.meaning.replace(/`/g, ''))}.</p>`);
-  add(at, reasons.length ? `<ul class="reasons">${reasons.map(r => `<li>${esc(r)}</li>`).join('')}</ul>` : '<p class="note">Every expectation held, and the bound was kept. Missed and late ticks are counted below, with their causes.</p>');
+  add(at, reasons.length ? `<ul class="reasons">${reasons.map(r => `<li>${esc(r)}</li>`).join('')}</ul>` : `<p class="note">${s.verdict?.expectations?.length ? 'Every expectation held. ' : ''}${s.bound?.violations_promise ? `V was above its certified bound in ${number(s.bound.violations_promise, 9)} ticks. ` : ''}Missed and late ticks are counted below, with their causes.</p>`);
   const trip = s.latency_ns?.round_trip ?? {}, b = s.bound ?? {};
   const tiles = [
-    ['rate', `${number(s.rate_hz)} Hz`], ['ticks seen', number(s.ticks_seen, 9)], ['missed', number(s.missed_ticks, 9), s.missed_ticks ? 'warn' : ''],
+    ['rate', `${number(s.rate_hz, 9)} Hz`], ['ticks seen', number(s.ticks_seen, 9)], ['missed', number(s.missed_ticks, 9), s.missed_ticks ? 'warn' : ''],
     ['late', number(s.late_ticks, 9), s.late_ticks ? 'warn' : ''], [s.latency_is_virtual ? 'round trip p50 (virtual)' : 'round trip p50', duration(trip.p50)],
     ['round trip p99', duration(trip.p99)], ['round trip p99.9', duration(trip.p99_9)], ['longest round trip', duration(trip.max)],
     ['largest |e<sub>i</sub>| of one link, settled', withUnit(s.tracking?.max_abs_e_rad, 'rad')], ['largest ‖e‖ of all links, settled', withUnit(s.tracking?.max_norm_e_rad, 'rad')],
@@ -303,7 +303,7 @@ function bound(run, at) {
   if (laws.length) add(at, table(['law', 'controllers', 'ticks', 'V max', 'c', 'bound broken', 'Ψ max', 'C1 (ctc: η0)', '‖W‖ settled', '‖W‖ certified', '‖e‖ of all links certified, rad', '|e_i| of each link certified, rad'], laws.map(l =>
     [esc(whose(l)), l.controllers.join(', '), String(l.ticks), withUnit(l.v_max, l.v_unit), withUnit(l.level, l.v_unit), `${l.violations} of ${l.checked}`, withUnit(l.psi_max, l.psi_unit), withUnit(l.c1, l.psi_unit), number(l.w_norm_max_settled), vanishing(l, l.uub_radius), vanishing(l, l.ultimate_bound), vanishing(l, l.ultimate_bound_link ?? l.ultimate_bound)])));
   if (broken.length) {
-    const rows = broken.slice(0, 200).map(e => [e.tick, number(e.t_s, 6), e.kind === 'bound' ? words(e.verdict) : 'certified bound on V', e.kind === 'bound'
+    const rows = broken.slice(0, 200).map(e => [String(e.tick), number(e.t_s, 9), e.kind === 'bound' ? words(e.verdict) : 'certified bound on V', e.kind === 'bound'
       ? `X = ${number(e.x)}, ∫L = ${number(e.int_l)}, ∫F = ${number(e.int_f)}: ${esc(WHY[e.verdict] ?? '')}` : `V = ${number(e.v)} is above its certified bound ${number(e.v_bound)}`]);
     add(at, table(['tick', 't, s', 'found', 'why'], rows));
   } else add(at, `<p class="note">${run.summary.bound?.certified ? 'V kept both bounds in every tick that was checked.' : 'Nothing is certified here: V is shown without bounds.'}</p>`);
@@ -336,7 +336,7 @@ function late(run, at) {
 }
 function happened(run, at) {
   const left = run.events_left_out ? `<p class="note">${run.events_left_out} more in events.jsonl.</p>` : '';
-  add(at, `<details open><summary>Events (${run.events.length})</summary>${table(['tick', 't, s', 'kind', 'what'], run.events.slice(0, 500).map(e => [e.tick, (e.t_s ?? 0).toFixed(6), words(e.kind), esc(describe(e).replace(/^tick \d+: [^,]*,? ?/, ''))]))}${left}</details>`);
+  add(at, `<details open><summary>Events (${run.events.length})</summary>${table(['tick', 't, s', 'kind', 'what'], run.events.slice(0, 500).map(e => [String(e.tick), (e.t_s ?? 0).toFixed(6), words(e.kind), esc(describe(e).replace(/^tick \d+: [^,]*,? ?/, ''))]))}${left}</details>`);
 }
 function machine(run, at) {
   const s = run.summary;

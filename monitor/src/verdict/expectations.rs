@@ -246,8 +246,9 @@ fn directly(expectation: &Expectation, summary: &Value, which: Option<(Hop, f64)
     // A torque that never came is not slow enough for anything either.
     let at_least = matches!(expectation.comparator, Comparator::Greater | Comparator::GreaterOrEqual);
     let never = found.as_ref().and_then(Value::as_u64) == Some(NEVER_NS);
+    let unseen = unseen(key, summary);
     let outcome = match holds {
-        Some(true) if at_least && never => Finding::Inconclusive,
+        Some(true) if (at_least && never) || unseen.is_some() => Finding::Inconclusive,
         Some(true) => Finding::Pass,
         Some(false) => Finding::Fail,
         None => Finding::Inconclusive,
@@ -257,8 +258,22 @@ fn directly(expectation: &Expectation, summary: &Value, which: Option<(Hop, f64)
         Some(_) if never => "never".to_owned(),
         Some(found) => found.to_string(),
     };
-    let reason = format!("{expectation}: found {shown}{said}");
+    let unseen = unseen.filter(|_| outcome == Finding::Inconclusive).unwrap_or_default();
+    let reason = format!("{expectation}: found {shown}{said}{unseen}");
     Judgement { expectation: expectation.to_string(), outcome, measured, budget, reason, ..Judgement::default() }
+}
+
+/// Why a figure of the records that were seen says nothing of the whole run: no tick was checked, or records are missing. Counts
+/// of the plant are whole whatever was seen.
+fn unseen(key: &str, summary: &Value) -> Option<String> {
+    let number = |key: &str| lookup(summary, key).and_then(Value::as_u64).unwrap_or(0);
+    let of_checks = ["bound.violations", "bound.verdicts", "bound.slack", "bound.psi_max"];
+    if of_checks.iter().any(|of| key.starts_with(of)) && number("bound.checked") == 0 {
+        return Some(", and no tick was checked".to_owned());
+    }
+    let of_records = key.starts_with("bound.") || key.starts_with("tracking.") || key.starts_with("late_ticks");
+    let gaps = number("monitor_gaps");
+    (of_records && gaps > 0).then(|| format!(", and {gaps} ticks were not seen"))
 }
 
 /// The value behind a dotted key, `latency_ns.` may be left out.
