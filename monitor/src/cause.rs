@@ -97,6 +97,8 @@ causes! {
     InjectedFault = "injected_fault", "injected fault";
     /// The plant mapped memory for a monitor that joined.
     MonitorJoined = "monitor_joined", "monitor joined";
+    /// The plant counted it, and its record did not reach this monitor.
+    NotSeen = "not_seen", "not seen";
     /// The evidence does not say.
     Unknown = "unknown", "unknown";
 }

@@ -396,11 +396,11 @@ impl Causes {
         counts
     }
 
-    /// Missed ticks by cause, with those that the plant counted and this monitor did not see as unknown.
+    /// Missed ticks by cause, with those that the plant counted and this monitor did not see under a word of their own.
     #[must_use]
     pub fn missed_of(&self, total: u64) -> CauseCounts {
         let mut counts = self.missed;
-        counts.add(Cause::Unknown, total.saturating_sub(counts.total()));
+        counts.add(Cause::NotSeen, total.saturating_sub(counts.total()));
         counts
     }
 }
