@@ -68,7 +68,14 @@ pub fn read_run(folder: &Path, incomplete: &[String]) -> io::Result<Run> {
             }
             Err(error) => return Err(named("summary.json", error)),
         };
+    if !summary.is_object() {
+        let why = io::Error::new(io::ErrorKind::InvalidData, "found something else than a JSON object");
+        return Err(named("summary.json", why));
+    }
     if !incomplete.is_empty() {
+        if !summary["verdict"].is_object() {
+            summary["verdict"] = json!({});
+        }
         // A loop that ran away outweighs a recording of it that is not whole.
         if summary["verdict"]["status"] != Headline::Diverged.word() {
             summary["verdict"]["status"] = json!(Headline::Incomplete.word());

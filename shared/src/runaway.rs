@@ -52,19 +52,23 @@ pub fn of_v(v: f64, level: f64, v_start: f64) -> Option<Runaway> {
     (!v.is_finite() || v > limit).then_some(Runaway { kind: RunawayKind::V, joint: 0, value: v, limit })
 }
 
+/// Four decimals, with an exponent where the number is too long to be read.
+fn readable(value: f64) -> String {
+    if value.abs() < 1e6 { format!("{value:.4}") } else { format!("{value:.4e}") }
+}
+
 impl std::fmt::Display for Runaway {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { kind, joint, value, limit } = self;
         match kind {
             RunawayKind::V if value.is_finite() => {
-                write!(
-                    f,
-                    "V = {value:.4} is above {limit:.4}, {V_FACTOR} times the larger one of its level and its start"
-                )
+                let (value, limit) = (readable(*value), readable(*limit));
+                write!(f, "V = {value} is above {limit}, {V_FACTOR} times the larger one of its level and its start")
             }
             RunawayKind::V => write!(f, "V is not a number"),
             RunawayKind::Speed => {
-                write!(f, "joint {joint} turns at {value:.4} rad/s, faster than plant.speed_limit = {limit} rad/s")
+                let value = readable(*value);
+                write!(f, "joint {joint} turns at {value} rad/s, faster than plant.speed_limit = {limit} rad/s")
             }
             RunawayKind::Angle => write!(f, "the angle of link {joint} is not finite"),
             RunawayKind::Velocity => write!(f, "the velocity of link {joint} is not finite"),

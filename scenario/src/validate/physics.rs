@@ -13,6 +13,7 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), ScenarioError> {
     check_coefficients("plant", plant.a.as_deref(), plant.b.as_deref(), &of_plant, links)?;
     let of_model = [&model.mass, &model.length, &model.inertia];
     check_coefficients("controller.model", model.a.as_deref(), model.b.as_deref(), &of_model, links)?;
+    check_gravity(scenario)?;
     for (index, spec) in plant.disturbance.iter().enumerate() {
         if let (Some(low), Some(high)) = (spec.low_hz, spec.high_hz) {
             let allowed = format_args!("above low_hz, {}", quote::number(low)).to_string();
@@ -26,6 +27,18 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), ScenarioError> {
 }
 
 /// Checks a chain given by its coefficients: a symmetric and positive definite, b as long.
+/// Coefficients hold the weight of the links already: gravity beside them would change nothing.
+fn check_gravity(scenario: &Scenario) -> Result<(), ScenarioError> {
+    let (plant, model) = (&scenario.plant, &scenario.controller.model);
+    let allowed = "no gravity beside a and b, which hold the weight already";
+    let standard = crate::PlantSection::default().gravity;
+    let same = plant.gravity.to_bits() == standard.to_bits();
+    require(plant.b.is_none() || same, "plant.gravity", quote::number(plant.gravity), allowed)?;
+    let of_coefficients = matches!(scenario.model_chain(), crate::ChainSpec::Coefficients { .. });
+    let found = model.gravity.map_or_else(String::new, quote::number);
+    require(!of_coefficients || model.gravity.is_none(), "controller.model.gravity", found, allowed)
+}
+
 fn check_coefficients(
     section: &str,
     a: Option<&[Vec<f64>]>,
