@@ -1,8 +1,8 @@
 //! Injected faults, in one place for every process and both modes: what is planned, what is commanded, how each is injected
 //!
 //! [`plan`] says which faults of the scenario are due in a tick, [`board`] which one was injected by command, and
-//! [`injector`] injects them into the process. [`FaultActions`] is what passes between them. A fault kind is declared in
-//! `scenario/src/fault.rs`; `plan` turns it into actions, and `injector` carries these out.
+//! [`injector`] injects them into the process. [`FaultActions`] is what passes between them. The kinds are
+//! those of `FaultKind` in `scenario`; `plan` turns a kind into actions, and `injector` carries these out.
 
 pub mod board;
 pub mod injector;
