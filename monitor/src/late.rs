@@ -337,7 +337,8 @@ impl Causes {
             self.gone.push(id);
             while let Some(at) = self.waiting.iter().position(|case| case.writer == id) {
                 let mut case = self.waiting.remove(at);
-                case.clues.removed = true;
+                // One that has answered since was only late in this tick.
+                case.clues.removed = case.silent_until.is_none();
                 self.decide(config, case, None, record.tick, events);
             }
         }

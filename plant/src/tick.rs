@@ -239,6 +239,12 @@ impl<const N: usize> PlantCore<N> {
     pub fn command(&mut self, command: &Command) -> Reply {
         let outcome = match CommandKind::from_code(command.kind) {
             Some(CommandKind::AddMember) => self.authority.add(command.controller),
+            // One that is to retire stays if a failover has made it active again.
+            Some(CommandKind::RemoveMember)
+                if command.option != 0 && self.authority.active().0 == command.controller =>
+            {
+                Err(Refusal::AlreadyActive)
+            }
             Some(CommandKind::RemoveMember) => {
                 self.laws.forget(command.controller);
                 self.authority.remove(command.controller)

@@ -85,7 +85,8 @@ impl Scenario {
             let (key, value) = assignment.split_once('=').ok_or_else(|| malformed("allowed: KEY=VALUE"))?;
             let segments = segments_of(key.trim()).ok_or_else(|| malformed("the key is not a dotted key"))?;
             check_assigned(&segments).map_err(|error| error.at(|_| WrittenAt::Set(assignment.to_owned())))?;
-            assign(&mut table, &segments, parse_value(value.trim())).map_err(malformed)?;
+            let is_word = segments.last().is_some_and(|last| last == "kind");
+            assign(&mut table, &segments, parse_value(value.trim(), is_word)).map_err(malformed)?;
             set.push((dotted(&segments), assignment.to_owned()));
         }
         let Value::Table(table) = table else { return Ok((self.clone(), set)) };
@@ -271,12 +272,14 @@ fn dotted(segments: &[String]) -> String {
     })
 }
 
-/// A value of the command line: TOML if it is, else text.
-fn parse_value(text: &str) -> Value {
-    let parsed = toml::from_str::<Table>(&format!("value = {text}"));
-    match parsed {
-        Ok(mut table) if table.len() == 1 => table.remove("value").unwrap_or_else(|| Value::String(text.to_owned())),
-        _ => Value::String(text.to_owned()),
+/// A value of the command line: TOML if it is, else text. `is_word`: of a key that takes a word, and one of the words is `nan`.
+fn parse_value(text: &str, is_word: bool) -> Value {
+    let words = || Value::String(text.to_owned());
+    match toml::from_str::<Table>(&format!("value = {text}")) {
+        Ok(mut table) if table.len() == 1 => {
+            table.remove("value").filter(|value| !(is_word && value.is_float())).unwrap_or_else(words)
+        }
+        _ => words(),
     }
 }
 

@@ -30,6 +30,13 @@ fn accepted(text: &str) -> Scenario {
 }
 
 #[test]
+fn a_word_that_toml_takes_for_a_number_is_a_word_where_one_is_asked_for() {
+    let scenario = Scenario::default().with_set("fault.0.kind=nan").unwrap();
+    assert_eq!(scenario.fault[0].kind, FaultKind::Nan);
+    assert!(Scenario::default().with_set("plant.gravity=nan").is_err());
+}
+
+#[test]
 fn every_shipped_scenario_loads_and_survives_the_way_through_toml() {
     let files = shipped();
     for name in ["paper", "mismatch", "disturbance", "swap", "failover", "ci", "faults", "n1", "n7"] {

@@ -136,16 +136,21 @@ pub(crate) mod tests {
         let at_ns = clock::now_ns() + 3_000_000;
         alarm.set(at_ns);
         clock::sleep_until_ns(at_ns - 1_500_000);
-        assert_eq!(word.load(SeqCst), 0, "not before its time, unless this thread did not run for a millisecond");
+        let before = word.load(SeqCst);
+        // A thread that did not run for so long looked too late.
+        assert!(before == 0 || clock::now_ns() >= at_ns, "it went off before its time");
         clock::sleep_until_ns(at_ns + 20_000_000);
         assert_eq!(word.load(SeqCst), 1);
-        alarm.set(clock::now_ns() + 50_000_000);
+        let given_up_ns = clock::now_ns() + 50_000_000;
+        alarm.set(given_up_ns);
         alarm.set(clock::now_ns() + 3_600_000_000_000);
+        let in_time = clock::now_ns() < given_up_ns;
         clock::sleep_ns(60_000_000);
-        assert_eq!(word.load(SeqCst), 1, "the earlier time was given up");
+        let so_far = word.load(SeqCst);
+        assert!(so_far == 1 || !in_time, "the earlier time was given up");
         alarm.set(1);
         clock::sleep_ns(5_000_000);
-        assert_eq!(word.load(SeqCst), 2, "a time that has passed is now");
+        assert_eq!(word.load(SeqCst), so_far + 1, "a time that has passed is now");
         drop(alarm);
         drop(Alarm::open(word).unwrap());
     }

@@ -176,7 +176,7 @@ codes! {
         StopAt = 2, "stop at";
         /// `controller` may publish torques from now on.
         AddMember = 3, "add member";
-        /// `controller` is dead or retired: wait for it no more, fence it.
+        /// `controller` is dead or retired: wait for it no more, fence it. `option` not 0: unless it is active.
         RemoveMember = 4, "remove member";
         /// Give authority to `controller` through the gate, at `tick` or as soon as it passes.
         Swap = 5, "swap";

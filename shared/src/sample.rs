@@ -414,7 +414,7 @@ message! {
         pub tick: u64,
         /// Nanoseconds, by kind: t_0 for start, blend time for swap, length of a fault.
         pub ns: u64,
-        /// By kind. Of a swap, 1: skip the gate (not the safety checks). Of a fault, which.
+        /// By kind. Of a swap, 1: skip the gate (not the safety checks). Of a removal, 1: unless it is active. Of a fault, which.
         pub option: u64,
     }
 }

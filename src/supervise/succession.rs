@@ -4,7 +4,7 @@
 
 use loopbound_scenario::Role;
 use loopbound_shared::clock;
-use loopbound_shared::event::CommandKind;
+use loopbound_shared::event::{CommandKind, Refusal};
 use loopbound_shared::realtime::{priority, set_priority};
 use loopbound_shared::sample::Command;
 
@@ -87,9 +87,13 @@ impl Supervisor<'_> {
             let of = |c: &Child| c.process.role == Role::Controller && c.process.id == id;
             let Some(index) = self.children.iter().position(of) else { continue };
             if self.children[index].member && self.children[index].lives() {
-                let remove = Command { kind: CommandKind::RemoveMember.code(), controller: id, ..Command::zeroed() };
-                if let Err(why) = self.command(remove) {
-                    self.note(&format!("controller {id}: {why}"));
+                let kind = CommandKind::RemoveMember.code();
+                // Between the look at who is active and the command there may be a failover.
+                let remove = Command { kind, controller: id, option: 1, ..Command::zeroed() };
+                match self.ask_plant(remove) {
+                    Ok(reply) if reply.reason == Refusal::AlreadyActive.code() => continue,
+                    Ok(_) => {}
+                    Err(why) => self.note(&format!("controller {id}: {why}")),
                 }
             }
             self.children[index].retiring_since_ns = Some(now_ns);

@@ -2,14 +2,18 @@
 //! open one to this machine: so whoever serves has to look.
 
 use std::fmt;
-use std::net::{Ipv4Addr, Ipv6Addr};
+#[cfg(feature = "foxglove")]
+use std::net::Ipv4Addr;
+use std::net::Ipv6Addr;
 use std::str::FromStr;
 
 use loopbound_model::quote;
 
 /// Foxglove in the browser.
+#[cfg(feature = "foxglove")]
 const FOXGLOVE: &str = "https://app.foxglove.dev";
 /// Foxglove on the desktop, whose pages are files.
+#[cfg(feature = "foxglove")]
 const DESKTOP: &str = "file://";
 
 /// Where a web page comes from: scheme, host, and the port unless it is the scheme's own.
@@ -25,6 +29,7 @@ pub struct Origin {
 #[error("`{}` is no origin: write SCHEME://HOST or SCHEME://HOST:PORT without a path, such as https://viewer.example:8080", quote::text(.0))]
 pub struct OriginError(String);
 
+#[cfg(feature = "foxglove")]
 impl Origin {
     /// Whether the page is served by this machine itself.
     fn is_loopback(&self) -> bool {
@@ -93,7 +98,7 @@ impl FromStr for Origin {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "foxglove"))]
 mod tests {
     use super::*;
 
