@@ -4,7 +4,7 @@
 
 use crate::controllers;
 use crate::input::WAYPOINTS_BYTES_MAX;
-use crate::{Nanos, ReferenceKind, Scenario, ScenarioError, WrittenAt};
+use crate::{Nanos, ReferenceKind, Role, Scenario, ScenarioError, WrittenAt};
 use loopbound_model::chain::Vector;
 use loopbound_model::quote;
 use loopbound_model::trajectory::{SetpointValue, Trajectory, Waypoints};
@@ -25,7 +25,9 @@ pub fn check(scenario: &Scenario) -> Result<(), ScenarioError> {
 /// # Errors
 /// If the scenario describes no system.
 pub fn remarks(scenario: &Scenario) -> Result<Vec<String>, ScenarioError> {
-    with_links!(scenario.links(), remarks_on_waypoints::<N>(scenario))
+    let mut lines = with_links!(scenario.links(), remarks_on_waypoints::<N>(scenario))?;
+    lines.extend(remarks_on_faults(scenario));
+    Ok(lines)
 }
 
 /// An error of a value that nobody wrote.
@@ -81,6 +83,23 @@ fn check_motion<const N: usize>(scenario: &Scenario, trajectory: &Trajectory<N>)
 
 fn all_finite<const N: usize>(values: &Vector<N>) -> bool {
     values.iter().all(|value| value.is_finite())
+}
+
+/// Faults of processes that the scenario does not start; one of that number may still join a running group.
+fn remarks_on_faults(scenario: &Scenario) -> Vec<String> {
+    let controllers = controllers::of(scenario).iter().map(|part| part.id).max().unwrap_or(1);
+    let without_target = scenario.fault.iter().enumerate().filter_map(|(index, fault)| {
+        let target = fault.target?;
+        let most = match target.role {
+            Role::Controller => controllers,
+            Role::Reference | Role::Plant => 1,
+            Role::Monitor => return None,
+        };
+        let id = target.id.filter(|id| *id > most)?;
+        let role = target.role;
+        Some(format!("fault[{index}] is for {role} {id}, and the scenario starts no {role} beyond {most}: it may never be injected"))
+    });
+    without_target.collect()
 }
 
 fn remarks_on_waypoints<const N: usize>(scenario: &Scenario) -> Result<Vec<String>, ScenarioError> {

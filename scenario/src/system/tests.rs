@@ -134,3 +134,16 @@ fn a_value_that_follows_from_others_and_is_not_allowed_is_refused_before_anythin
         "{error}"
     );
 }
+
+#[test]
+fn a_fault_of_a_process_that_is_not_started_is_remarked() {
+    let of = |target: &str| {
+        let settings = ["fault.0.kind=drop".to_owned(), "fault.0.at=5".to_owned(), format!("fault.0.target={target}")];
+        remarks(&Scenario::default().with_sets(&settings).unwrap()).unwrap()
+    };
+    assert_eq!(of("controller:1"), Vec::<String>::new());
+    assert!(
+        of("controller:9")[0]
+            .starts_with("fault[0] is for controller 9, and the scenario starts no controller beyond 1")
+    );
+}
