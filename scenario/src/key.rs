@@ -1,6 +1,6 @@
 //! What a key of a scenario is, and the macro that declares a section of them.
 //!
-//! A key is declared once, as a field of its section: name, type, default, unit, limit and description. [`section!`] makes the
+//! A key is declared once, as a field of its section: name, type, default, unit, limit and description. `section!` makes the
 //! field and the default of it, and a [`Key`] in the list of its [`Section`]. Everything else walks that list: the search for
 //! unknown keys, the validation, the resolved scenario, `scenarios/paper.toml`, the tables of `docs/scenario.md`, and the JSON
 //! schema. What a type of value contributes to these is its [`Value`].

@@ -59,7 +59,7 @@ pub struct RunArgs {
     /// port 8765.
     #[arg(long, value_name = "ADDR")]
     pub foxglove: Option<Address>,
-    /// Let web pages of this origin look too, such as https://viewer.example:8080. Those of Foxglove and of this machine may
+    /// Let web pages of this origin look too, such as `https://viewer.example:8080`. Those of Foxglove and of this machine may
     /// anyway.
     #[arg(long = "foxglove-origin", value_name = "ORIGIN", requires = "foxglove")]
     pub foxglove_origins: Vec<Origin>,

@@ -9,7 +9,7 @@
 //! | clock step | the stamps | the same |
 //!
 //! In lockstep the plant waits for one answer of every controller in every tick. So a torque carries *marks*: what would have
-//! happened to it in real time. [`mark`] writes them and [`arrivals`] reads them, which makes two runs bit-identical.
+//! happened to it in real time. `mark` writes them and `arrivals` reads them, which makes two runs bit-identical.
 
 use loopbound_scenario::{Mode, Role, Scenario};
 
