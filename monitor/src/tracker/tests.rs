@@ -129,7 +129,7 @@ fn gaps_are_what_lies_between_records_less_what_the_plant_skipped() {
     assert_eq!((summary.monitor_gaps, summary.ticks_seen, summary.ticks), (5 + 6 + 9, 5, 31));
     // The plant counted five misses, of which this monitor saw three.
     assert_eq!(summary.missed_ticks, 5);
-    assert_eq!(summary.missed_ticks_by_cause["unknown"], 2);
+    assert_eq!(summary.missed_ticks_by_cause["not_seen"], 2);
     assert_eq!(summary.missed_ticks_by_cause["timer_or_host"], 3);
     assert_eq!(summary.events["gap"], 3);
 }

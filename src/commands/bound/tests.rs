@@ -73,15 +73,11 @@ fn a_plant_outside_of_what_the_controller_declares_is_named_line_by_line_and_fai
 
 #[test]
 fn every_shipped_scenario_has_a_plant_that_its_controller_declares_and_a_rate_at_which_it_is_stable() {
-    let mut certified = 0;
     for entry in std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios")).unwrap() {
         let scenario = Scenario::load(&entry.unwrap().path()).unwrap();
         let answer = plain(&scenario);
-        assert!(answer.gaps.is_empty() && answer.sampling.is_stable(), "{}", answer.render());
-        certified += u32::from(answer.holds());
+        assert!(answer.gaps.is_empty() && answer.sampling.is_stable() && answer.holds(), "{}", answer.render());
     }
-    // All but seven links under `ctc`, whose start lies outside of its level.
-    assert_eq!(certified, 8);
 }
 
 #[test]
