@@ -24,9 +24,16 @@ use crate::supervise::{keeper, needs};
     version,
     max_term_width = 100,
     after_help = "\
-Exit codes: 0 held; 1 an expectation failed or the bound was violated other than by latency; 2 usage or scenario;
-3 inconclusive; 4 a swap was refused or rolled back, or a fault refused; 5 a role died and was not recovered; 70 internal;
-130 interrupted; 143 terminated.
+Exit codes:
+  0    held, or passed
+  1    an expectation failed, the loop diverged, or the bound was violated and the age of the torque is not the cause
+  2    usage or scenario
+  3    inconclusive
+  4    a swap was refused or rolled back, or a fault refused
+  5    a role died and was not recovered, or the run or its recording is incomplete
+  70   internal
+  130  interrupted
+  143  terminated
 
 Environment:
   LOOPBOUND_RUNTIME_DIR  absolute path of the directory that running groups are kept in; it must be yours and closed to

@@ -84,10 +84,16 @@ pub fn run(args: &SwapArgs) -> anyhow::Result<Exit> {
 
 fn text(report: &SwapReport) -> String {
     let SwapReport { from, to, tick, .. } = report;
-    let mut text = format!("swap from controller {from} to {to}: {} in tick {tick}\n", report.result);
+    // A refusal before any process was started names none.
+    let to = if *to == 0 { String::new() } else { format!(" to {to}") };
+    let mut text = format!("swap from controller {from}{to}: {} in tick {tick}\n", report.result);
     let mut line = |name: &str, value: String| text.push_str(&format!("  {name:<22}{value}\n"));
     if let Some(reason) = &report.reason {
         let numbers = match (report.value, report.limit) {
+            // Ticks are whole numbers.
+            (Some(value), Some(limit)) if value.fract() == 0.0 && limit.fract() == 0.0 && limit != 0.0 => {
+                format!(" ({value:.0}, allowed {limit:.0})")
+            }
             (Some(value), Some(limit)) if value != 0.0 || limit != 0.0 => format!(" ({value:.4}, allowed {limit:.4})"),
             _ => String::new(),
         };

@@ -7,7 +7,7 @@ use loopbound_scenario::Role;
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::Bell;
 use loopbound_shared::event::CommandKind;
-use loopbound_shared::realtime::work_of;
+use loopbound_shared::realtime::{Work, work_of};
 use loopbound_shared::sample::Command;
 
 use super::child::Child;
@@ -16,8 +16,10 @@ use super::{End, Outcome, Supervisor};
 
 /// Time for the plant to close its last tick and end.
 const PLANT_NS: u64 = 1_000_000_000;
-/// A monitor that does nothing for so long will write no summary any more.
+/// A monitor that does next to nothing for so long will write no summary any more.
 const IDLE_NS: u64 = 5_000_000_000;
+/// Hundredths of a second that it computes in that time if it is at work; one that only looks for records needs a tenth of it.
+const WORK_LEAST: u64 = 50;
 /// Time for the monitor to take the last records and write its files, as long as it is at work. Longer than any disk takes.
 const SUMMARY_NS: u64 = 600_000_000_000;
 /// Time for everyone to end by themselves, and again after SIGTERM.
@@ -57,10 +59,11 @@ impl Supervisor<'_> {
     /// A long recording on a busy machine takes the monitor a while: it is waited for while it works.
     fn wait_for_the_summary(&mut self) {
         let until_ns = clock::now_ns() + SUMMARY_NS;
-        let mut before = self.work_of_monitors();
+        let mut before = self.work_of_monitor();
         while !self.wait_for(Role::Monitor, IDLE_NS) && clock::now_ns() < until_ns {
-            let work = self.work_of_monitors();
-            if work == before {
+            let work = self.work_of_monitor();
+            let Some((now, then)) = work.zip(before) else { return };
+            if !now.waits_for_disk && now.used < then.used + WORK_LEAST {
                 return;
             }
             self.note("the monitor is still writing the files of the run");
@@ -68,9 +71,9 @@ impl Supervisor<'_> {
         }
     }
 
-    fn work_of_monitors(&self) -> Vec<Option<u64>> {
-        let monitors = self.children.iter().filter(|child| child.process.role == Role::Monitor);
-        monitors.filter(|child| child.lives()).map(|child| work_of(child.pid)).collect()
+    fn work_of_monitor(&self) -> Option<Work> {
+        let monitor = self.children.iter().find(|child| child.process.role == Role::Monitor && child.lives())?;
+        work_of(monitor.pid)
     }
 
     /// Whether the plant has agreed to stop.

@@ -11,6 +11,13 @@ struct Retirement {
     insist: bool,
 }
 
+/// A controller that is to go now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Due {
+    pub(super) id: u32,
+    insist: bool,
+}
+
 /// Those whose time is set.
 #[derive(Debug, Default)]
 pub(super) struct Retirements {
@@ -29,17 +36,23 @@ impl Retirements {
     }
 
     /// The next one that goes now.
-    pub(super) fn look(&mut self, now_ns: u64, active: u32) -> Option<u32> {
+    pub(super) fn look(&mut self, now_ns: u64, active: u32) -> Option<Due> {
         while let Some(at) = self.list.iter().position(|retirement| retirement.at_ns <= now_ns) {
             let Retirement { id, insist, .. } = self.list.remove(at);
+            let due = Due { id, insist };
             if id != active {
-                return Some(id);
+                return Some(due);
             }
-            if insist {
-                self.list.push(Retirement { id, at_ns: now_ns + ASK_AGAIN_NS, insist });
-            }
+            self.is_active(now_ns, due);
         }
         None
+    }
+
+    /// One that was due is active: it stays, or is asked again if it is to go in any case.
+    pub(super) fn is_active(&mut self, now_ns: u64, due: Due) {
+        if due.insist {
+            self.list.push(Retirement { id: due.id, at_ns: now_ns + ASK_AGAIN_NS, insist: true });
+        }
     }
 }
 
@@ -51,20 +64,20 @@ mod tests {
     fn one_that_was_replaced_goes_after_its_time_and_stays_if_it_is_active_again() {
         let mut retirements = Retirements::default();
         retirements.plan(10, 1, 100);
-        assert_eq!(retirements.look(109, 2), None);
-        assert_eq!(retirements.look(110, 2), Some(1));
+        assert_eq!(retirements.look(109, 2).map(|due| due.id), None);
+        assert_eq!(retirements.look(110, 2).map(|due| due.id), Some(1));
         retirements.plan(200, 1, 100);
-        assert_eq!(retirements.look(300, 1), None, "it is active again");
-        assert_eq!(retirements.look(u64::MAX, 2), None, "and is not to go any more");
+        assert_eq!(retirements.look(300, 1).map(|due| due.id), None, "it is active again");
+        assert_eq!(retirements.look(u64::MAX, 2).map(|due| due.id), None, "and is not to go any more");
     }
 
     #[test]
     fn one_that_was_refused_goes_as_soon_as_it_is_not_active() {
         let mut retirements = Retirements::default();
         retirements.dismiss(10, 2);
-        assert_eq!(retirements.look(10, 1), None, "not before the next look");
-        assert_eq!(retirements.look(11, 2), None);
-        assert_eq!(retirements.look(11 + ASK_AGAIN_NS - 1, 1), None);
-        assert_eq!(retirements.look(11 + ASK_AGAIN_NS, 1), Some(2));
+        assert_eq!(retirements.look(10, 1).map(|due| due.id), None, "not before the next look");
+        assert_eq!(retirements.look(11, 2).map(|due| due.id), None);
+        assert_eq!(retirements.look(11 + ASK_AGAIN_NS - 1, 1).map(|due| due.id), None);
+        assert_eq!(retirements.look(11 + ASK_AGAIN_NS, 1).map(|due| due.id), Some(2));
     }
 }

@@ -83,7 +83,8 @@ impl Supervisor<'_> {
     /// Lets those go whose time is over.
     pub(super) fn retire_due(&mut self) {
         let now_ns = clock::now_ns();
-        while let Some(id) = self.retirements.look(now_ns, self.active) {
+        while let Some(due) = self.retirements.look(now_ns, self.active) {
+            let id = due.id;
             let of = |c: &Child| c.process.role == Role::Controller && c.process.id == id;
             let Some(index) = self.children.iter().position(of) else { continue };
             if self.children[index].member && self.children[index].lives() {
@@ -91,7 +92,10 @@ impl Supervisor<'_> {
                 // Between the look at who is active and the command there may be a failover.
                 let remove = Command { kind, controller: id, option: 1, ..Command::zeroed() };
                 match self.ask_plant(remove) {
-                    Ok(reply) if reply.reason == Refusal::AlreadyActive.code() => continue,
+                    Ok(reply) if reply.reason == Refusal::AlreadyActive.code() => {
+                        self.retirements.is_active(now_ns, due);
+                        continue;
+                    }
                     Ok(_) => {}
                     Err(why) => self.note(&format!("controller {id}: {why}")),
                 }

@@ -244,6 +244,10 @@ impl Swapping {
     fn take_figures(&mut self, account: Option<&Account>) {
         let report = &mut self.report;
         let Some(change) = account.and_then(|account| account.change_to(report.to, report.tick)) else { return };
+        // A failover to the same controller before the tick that was asked for is another change.
+        if self.request.at_tick.is_some() && change.entry.tick != report.tick {
+            return;
+        }
         let (entry, around) = (&change.entry, &change.around);
         report.tick = entry.tick;
         (report.missed_ticks, report.delta_v) = (entry.missed_ticks, entry.delta_v);

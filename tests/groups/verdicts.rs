@@ -94,10 +94,18 @@ fn in_real_time_too_a_scheduled_swap_that_is_refused_ends_the_run_with_4() {
     let case = Case::new("swap-refused-live");
     // Without a certificate nothing graver can come of a busy machine; should it, the refusal is a reason all the same.
     let scenario = format!("[loop]\nrate = \"200Hz\"\nduration = \"2500ms\"\n[controller]\nlaw = \"pd+g\"\n{REFUSES}");
-    let ended = case.run(&scenario, &[]).wait();
-    let summary = ended.json_with(4);
-    assert_eq!(summary["verdict"]["status"], "swap refused", "{}", summary["verdict"]);
-    case.assert_nothing_left();
+    for _ in 0..5 {
+        let ended = case.run(&scenario, &[]).wait();
+        case.assert_nothing_left();
+        let summary: serde_json::Value = serde_json::from_str(&ended.out).expect("a summary");
+        // A host that stops the controller before the swap makes its standby active: then there is nothing to refuse.
+        if summary["swaps"].as_array().is_some_and(|swaps| swaps.iter().any(|swap| swap["kind"] == "failover")) {
+            continue;
+        }
+        assert_eq!((ended.code, &summary["verdict"]["status"]), (Some(4), &"swap refused".into()), "{ended:?}");
+        return;
+    }
+    panic!("five runs with a failover before their swap");
 }
 
 #[test]

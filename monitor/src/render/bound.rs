@@ -54,10 +54,11 @@ fn of_one_law(screen: &mut Screen, bound: &BoundSummary, norm_e_rad: Option<f64>
     let units = bound.units();
     let v = |value: Option<f64>| with_unit(value, units.map(|units| units.v));
     let text = format!(
-        "{} at first, max {}, {} at the end; certified level c = {}",
+        "{} at first, max {}, {} at the end; {} c = {}",
         v(bound.v_start),
         v(bound.v_max),
         v(bound.v_final),
+        if bound.certified { "certified level" } else { "not certified at level" },
         v(bound.level)
     );
     screen.entry("V", &text);
@@ -109,8 +110,9 @@ fn error_bound(bound: &BoundSummary) -> String {
     if vanishes(bound) {
         return "certified: ‖e‖ and ‖W‖ tend to 0 in continuous time".to_owned();
     }
+    let of_whom = if bound.outside.is_empty() { "" } else { ", of a plant as declared" };
     format!(
-        "certified in the long run: ‖e‖ ≤ {} rad, and so each |e_i| ≤ {} rad",
+        "certified in the long run{of_whom}: ‖e‖ ≤ {} rad, and so each |e_i| ≤ {} rad",
         number(bound.ultimate_bound),
         number(bound.ultimate_bound_link.or(bound.ultimate_bound))
     )

@@ -61,15 +61,22 @@ fn parent_of(pid: u32) -> Option<u32> {
     words.nth(1)?.parse().ok().filter(|parent| *parent != 0)
 }
 
-/// CPU time that a process has used so far, in the kernel's units of accounting; counted up by one while it waits inside the
-/// kernel, as for a disk. So a process whose number stays the same does nothing. None if there is no such process.
+/// What a process is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Work {
+    /// CPU time that it has used so far, in the kernel's units of accounting, a hundredth of a second.
+    pub used: u64,
+    /// It waits inside the kernel, as for a disk.
+    pub waits_for_disk: bool,
+}
+
+/// What a process is doing; none if there is no such process.
 #[must_use]
-pub fn work_of(pid: u32) -> Option<u64> {
+pub fn work_of(pid: u32) -> Option<Work> {
     let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
     let words: Vec<&str> = stat.rsplit_once(')')?.1.split_ascii_whitespace().collect();
     let time = |place: usize| words.get(place)?.parse::<u64>().ok();
-    let used = time(11)? + time(12)?;
-    Some(if words.first() == Some(&"D") { used + 1 } else { used })
+    Some(Work { used: time(11)? + time(12)?, waits_for_disk: words.first() == Some(&"D") })
 }
 
 /// Lets this process run on all its cores but `cores`, if there are others.
@@ -195,9 +202,9 @@ mod tests {
     #[test]
     fn a_process_that_computes_is_at_work_and_one_that_is_gone_is_not() {
         let me = std::process::id();
-        let before = work_of(me).unwrap();
+        let before = work_of(me).unwrap().used;
         let until_ns = crate::clock::now_ns() + 20_000_000_000;
-        while work_of(me).unwrap() <= before + 1 {
+        while work_of(me).unwrap().used <= before + 1 {
             assert!(crate::clock::now_ns() < until_ns, "this process computes and its time stands still");
         }
         assert_eq!(work_of(u32::MAX), None);
