@@ -18,6 +18,8 @@ use super::{End, Outcome, Supervisor};
 const PLANT_NS: u64 = 1_000_000_000;
 /// A monitor that does next to nothing for so long will write no summary any more.
 const IDLE_NS: u64 = 5_000_000_000;
+/// The most that one tick takes it to write.
+const TICK_NS: u64 = 1_000_000;
 /// Hundredths of a second that it computes in that time if it is at work; one that only looks for records needs a tenth of it.
 const WORK_LEAST: u64 = 50;
 /// Time for the monitor to take the last records and write its files, as long as it is at work. Longer than any disk takes.
@@ -58,7 +60,8 @@ impl Supervisor<'_> {
 
     /// A long recording on a busy machine takes the monitor a while: it is waited for while it works.
     fn wait_for_the_summary(&mut self) {
-        let until_ns = clock::now_ns() + SUMMARY_NS;
+        // No longer than what it has seen can take.
+        let until_ns = clock::now_ns() + SUMMARY_NS.min(IDLE_NS + self.tick().saturating_mul(TICK_NS));
         let mut before = self.work_of_monitor();
         while !self.wait_for(Role::Monitor, IDLE_NS) && clock::now_ns() < until_ns {
             let work = self.work_of_monitor();
