@@ -2,13 +2,12 @@
 //! latencies around it. The launcher's monitor leaves it in the group's folder, so that the supervisor judges no record.
 
 use std::collections::VecDeque;
-use std::path::Path;
 
 use loopbound_shared::event::Decision;
-use loopbound_shared::group::{Group, GroupError};
 use loopbound_shared::sample::TickRecord;
 use serde::{Deserialize, Serialize};
 
+use crate::handover::Handover;
 use crate::summary::SwapSummary;
 use crate::tracker::segments;
 
@@ -48,25 +47,11 @@ pub struct Around {
     pub latency_after_ns: Option<u64>,
 }
 
+impl Handover for Account {
+    const FILE: &str = "changes.json";
+}
+
 impl Account {
-    /// Its file in the group's folder.
-    pub const FILE: &str = "changes.json";
-
-    /// Writes it, whole or not at all.
-    ///
-    /// # Errors
-    /// If it can't be written.
-    pub fn write(&self, group: &Group) -> Result<(), GroupError> {
-        // Plain fields always have a JSON form.
-        group.write(Self::FILE, &serde_json::to_vec(self).unwrap_or_default())
-    }
-
-    /// Reads it; none if there is none yet.
-    #[must_use]
-    pub fn read(path: &Path) -> Option<Self> {
-        serde_json::from_slice(&std::fs::read(path).ok()?).ok()
-    }
-
     /// The change by which controller `id` became the active one in `tick`. A failover may have been faster than the gate:
     /// then the plant only knows that it is active by then. Later ones, there and back, are none of the swap.
     #[must_use]

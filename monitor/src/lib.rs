@@ -31,6 +31,7 @@ pub mod divergence;
 pub mod event;
 pub mod files;
 pub mod folder;
+pub mod handover;
 pub mod hops;
 mod host;
 pub mod jitter;

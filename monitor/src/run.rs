@@ -25,6 +25,7 @@ use loopbound_shared::topics::Topic;
 
 use crate::account::Accountant;
 use crate::files::{LOST_FILE, Place, Recorder};
+use crate::handover::Handover as _;
 use crate::judge::Judge;
 use crate::live::{Address, Live, Origin};
 use crate::members::Members;

@@ -14,15 +14,13 @@ pub mod expectations;
 pub mod limits;
 pub mod reports;
 
-use std::path::Path;
-
 use loopbound_shared::event::Refusal;
-use loopbound_shared::group::{Group, GroupError};
 use loopbound_shared::headline::Headline;
 use serde::{Deserialize, Serialize};
 
 use crate::cause::words_of;
 use crate::counted::counted;
+use crate::handover::Handover;
 use crate::summary::{Summary, SwapSummary, Verdict};
 
 /// The verdict so far, which the launcher's monitor leaves in the group's folder for the supervisor.
@@ -34,24 +32,8 @@ pub struct Interim {
     pub status: String,
 }
 
-impl Interim {
-    /// Its file in the group's folder.
-    pub const FILE: &str = "verdict.json";
-
-    /// Writes it, whole or not at all.
-    ///
-    /// # Errors
-    /// If it can't be written.
-    pub fn write(&self, group: &Group) -> Result<(), GroupError> {
-        // Two plain fields always have a JSON form.
-        group.write(Self::FILE, &serde_json::to_vec(self).unwrap_or_default())
-    }
-
-    /// Reads it; none if there is none yet.
-    #[must_use]
-    pub fn read(path: &Path) -> Option<Self> {
-        serde_json::from_slice(&std::fs::read(path).ok()?).ok()
-    }
+impl Handover for Interim {
+    const FILE: &str = "verdict.json";
 }
 
 /// The verdict of the figures alone: the headline that counts first, and every reason.

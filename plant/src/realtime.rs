@@ -245,14 +245,14 @@ struct Duty {
 }
 
 impl Duty {
+    /// The longest time without sleep, and the sleep that is then forced; the ticks it costs are overruns.
+    const AWAKE_MAX_NS: u64 = 100_000_000;
+    const REST_NS: u64 = 15_000_000;
+
     /// A wait has slept: with nobody to answer, the sleep before a tick may always be over already.
     fn note_sleep(&mut self) {
         self.awake_since_ns = clock::now_ns();
     }
-
-    /// The longest time without sleep, and the sleep that is then forced; the ticks it costs are overruns.
-    const AWAKE_MAX_NS: u64 = 100_000_000;
-    const REST_NS: u64 = 15_000_000;
 
     /// Sleeps, and returns how late the kernel ended it: the noise floor of the run. A sleep that was due already says
     /// nothing about the host, and returns the largest number.

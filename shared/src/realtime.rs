@@ -8,16 +8,16 @@ mod enter;
 mod evidence;
 mod privileges;
 mod process;
+mod stat;
 mod system;
 mod throttle;
 
 pub use enter::{Entered, RUNAWAY_LIMIT_US, Request, STACK_PREFAULT_BYTES, enter, lockable_bytes, try_fifo};
 pub use evidence::{Evidence, EvidenceReader, MISSING_SCHEDSTAT, MISSING_USAGE};
 pub use privileges::{CORE_NONE, Outcome, Privileges, STEPS, Step};
-pub use process::{
-    ProcessHandle, Work, die_with_parent, keep_off_cores, priority, set_priority, wait_any_end, work_of,
-};
+pub use process::{ProcessHandle, die_with_parent, keep_off_cores, priority, set_priority, wait_any_end};
 pub use rustix::process::Signal;
+pub use stat::ProcessStat;
 pub use throttle::{DUTY_MAX, Throttle};
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! Whoever asks by the control socket: takes requests, and carries out the orders of the swap under way.
 
 use loopbound_monitor::account::Account;
+use loopbound_monitor::handover::Handover as _;
 use loopbound_scenario::{Restart, Role};
 use loopbound_shared::clock;
 use loopbound_shared::event::Refusal;

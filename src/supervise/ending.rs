@@ -7,7 +7,7 @@ use loopbound_scenario::Role;
 use loopbound_shared::clock;
 use loopbound_shared::doorbell::Bell;
 use loopbound_shared::event::CommandKind;
-use loopbound_shared::realtime::{Work, work_of};
+use loopbound_shared::realtime::ProcessStat;
 use loopbound_shared::sample::Command;
 
 use super::child::Child;
@@ -66,7 +66,7 @@ impl Supervisor<'_> {
         while !self.wait_for(Role::Monitor, IDLE_NS) && clock::now_ns() < until_ns {
             let work = self.work_of_monitor();
             let Some((now, then)) = work.zip(before) else { return };
-            if !now.waits_for_disk && now.used < then.used + WORK_LEAST {
+            if !now.waits_for_disk() && now.used < then.used + WORK_LEAST {
                 return;
             }
             self.note("the monitor is still writing the files of the run");
@@ -74,9 +74,9 @@ impl Supervisor<'_> {
         }
     }
 
-    fn work_of_monitor(&self) -> Option<Work> {
+    fn work_of_monitor(&self) -> Option<ProcessStat> {
         let monitor = self.children.iter().find(|child| child.process.role == Role::Monitor && child.lives())?;
-        work_of(monitor.pid)
+        ProcessStat::of(monitor.pid)
     }
 
     /// Whether the plant has agreed to stop.

@@ -1,6 +1,7 @@
 //! Prolonging a run whose verdict is open: the supervisor reads what the launcher's monitor last found, and moves the
 //! tick at which the plant stops. Never in lockstep, where more time is not more data of the same kind.
 
+use loopbound_monitor::handover::Handover as _;
 use loopbound_monitor::verdict::Interim;
 use loopbound_scenario::Scenario;
 use loopbound_shared::event::CommandKind;

@@ -213,7 +213,7 @@ function percentileChart(run) {
 const add = (parent, html) => { parent.insertAdjacentHTML('beforeend', html); return parent.lastElementChild; };
 const legend = lines => `<div class="legend">${lines.map(l => `<span><i class="${l.dash ? 'dash' : ''}" style="border-color:${l.colour}"></i>${esc(l.name)}</span>`).join('')}</div>`;
 function table(head, rows) {
-  const cell = (tag, v) => `<${tag}${typeof v === 'number' || /^[-–\d]/.test(v) ? ' class="n"' : ''}>${typeof v === 'number' ? number(v) : v}</${tag}>`;
+  const cell = (tag, v) => `<${tag}${typeof v === 'number' || /^[-–\d]/.test(v) ? ' class="n"' : ''}>${Number.isInteger(v) ? v : typeof v === 'number' ? number(v) : v}</${tag}>`;
   return `<div class="scroll"><table><tr>${head.map((h, i) => `<th${rows.length && /^[-–\d]/.test(rows[0][i]) ? ' class="n"' : ''}>${h}</th>`).join('')}</tr>${rows.map(r => `<tr>${r.map(v => cell('td', v)).join('')}</tr>`).join('')}</table></div>`;
 }
 const facts = rows => table(['', ''], rows.map(([k, v]) => [words(k), esc(typeof v === 'object' ? JSON.stringify(v) : v)]));
@@ -301,9 +301,9 @@ function bound(run, at) {
   at.append(overTime(run, { unit: `V${run.summary.bound?.v_unit ? ', ' + run.summary.bound.v_unit : ''} (log)`, lines, dots, marks: marksOf(run), yLog: true, height: 260 }));
   const laws = run.summary.bound?.laws ?? [];
   if (laws.length) add(at, table(['law', 'controllers', 'ticks', 'V max', 'c', 'bound broken', 'Ψ max', 'C1 (ctc: η0)', '‖W‖ settled', '‖W‖ certified', '‖e‖ of all links certified, rad', '|e_i| of each link certified, rad'], laws.map(l =>
-    [esc(whose(l)), l.controllers.join(', '), String(l.ticks), withUnit(l.v_max, l.v_unit), withUnit(l.level, l.v_unit), `${l.violations} of ${l.checked}`, withUnit(l.psi_max, l.psi_unit), withUnit(l.c1, l.psi_unit), number(l.w_norm_max_settled), vanishing(l, l.uub_radius), vanishing(l, l.ultimate_bound), vanishing(l, l.ultimate_bound_link ?? l.ultimate_bound)])));
+    [esc(whose(l)), l.controllers.join(', '), l.ticks, withUnit(l.v_max, l.v_unit), withUnit(l.level, l.v_unit), `${l.violations} of ${l.checked}`, withUnit(l.psi_max, l.psi_unit), withUnit(l.c1, l.psi_unit), number(l.w_norm_max_settled), vanishing(l, l.uub_radius), vanishing(l, l.ultimate_bound), vanishing(l, l.ultimate_bound_link ?? l.ultimate_bound)])));
   if (broken.length) {
-    const rows = broken.slice(0, 200).map(e => [String(e.tick), number(e.t_s, 9), e.kind === 'bound' ? words(e.verdict) : 'certified bound on V', e.kind === 'bound'
+    const rows = broken.slice(0, 200).map(e => [e.tick, number(e.t_s, 9), e.kind === 'bound' ? words(e.verdict) : 'certified bound on V', e.kind === 'bound'
       ? `X = ${number(e.x)}, ∫L = ${number(e.int_l)}, ∫F = ${number(e.int_f)}: ${esc(WHY[e.verdict] ?? '')}` : `V = ${number(e.v)} is above its certified bound ${number(e.v_bound)}`]);
     add(at, table(['tick', 't, s', 'found', 'why'], rows));
   } else add(at, `<p class="note">${run.summary.bound?.certified ? 'V kept both bounds in every tick that was checked.' : 'Nothing is certified here: V is shown without bounds.'}</p>`);
@@ -320,7 +320,7 @@ function latency(run, at) {
   add(at, legend(HOPS.map((hop, i) => ({ name: HOP_WORDS[hop], colour: colour(i) }))));
   at.append(percentileChart(run));
   const q = { ...run.summary.latency_ns, floor: run.summary.floor };
-  add(at, table(['hop', 'n', 'p50', 'p90', 'p99', 'p99.9', 'max'], HOPS.filter(h => q[h]?.n).map(h => [esc(HOP_WORDS[h]), String(q[h].n), ...['p50', 'p90', 'p99', 'p99_9', 'max'].map(k => duration(q[h][k]))])));
+  add(at, table(['hop', 'n', 'p50', 'p90', 'p99', 'p99.9', 'max'], HOPS.filter(h => q[h]?.n).map(h => [esc(HOP_WORDS[h]), q[h].n, ...['p50', 'p90', 'p99', 'p99_9', 'max'].map(k => duration(q[h][k]))])));
 }
 function trips(run, at) {
   const line = { name: 'round trip, µs', at: 4 * (run.summary.links ?? 0) + 3, colour: colour(4) };
@@ -336,7 +336,7 @@ function late(run, at) {
 }
 function happened(run, at) {
   const left = run.events_left_out ? `<p class="note">${run.events_left_out} more in events.jsonl.</p>` : '';
-  add(at, `<details open><summary>Events (${run.events.length})</summary>${table(['tick', 't, s', 'kind', 'what'], run.events.slice(0, 500).map(e => [String(e.tick), (e.t_s ?? 0).toFixed(6), words(e.kind), esc(describe(e).replace(/^tick \d+: [^,]*,? ?/, ''))]))}${left}</details>`);
+  add(at, `<details open><summary>Events (${run.events.length})</summary>${table(['tick', 't, s', 'kind', 'what'], run.events.slice(0, 500).map(e => [e.tick, (e.t_s ?? 0).toFixed(6), words(e.kind), esc(describe(e).replace(/^tick \d+: [^,]*,? ?/, ''))]))}${left}</details>`);
 }
 function machine(run, at) {
   const s = run.summary;

@@ -26,7 +26,6 @@ pub(super) fn check(scenario: &Scenario) -> Result<(), ScenarioError> {
     require(one_tip, "reference.omega_rad_s", "a list", "one number: there is one tip")
 }
 
-/// Checks a chain given by its coefficients: a symmetric and positive definite, b as long.
 /// Coefficients hold the weight of the links already: gravity beside them would change nothing.
 fn check_gravity(scenario: &Scenario) -> Result<(), ScenarioError> {
     let (plant, model) = (&scenario.plant, &scenario.controller.model);
@@ -39,6 +38,7 @@ fn check_gravity(scenario: &Scenario) -> Result<(), ScenarioError> {
     require(!of_coefficients || model.gravity.is_none(), "controller.model.gravity", found, allowed)
 }
 
+/// Checks a chain given by its coefficients: a symmetric and positive definite, b as long.
 fn check_coefficients(
     section: &str,
     a: Option<&[Vec<f64>]>,

@@ -11,6 +11,7 @@ use rustix::process::{
 
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
+use super::stat::ProcessStat;
 use super::system;
 use crate::clock::{NS_PER_S, now_ns};
 
@@ -48,35 +49,12 @@ pub fn die_with_parent(expected_parent_pid: u32) -> io::Result<()> {
 }
 
 fn lives(pid: u32) -> bool {
-    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
-    let state = stat.rsplit_once(')').and_then(|(_, rest)| rest.split_ascii_whitespace().next());
-    state.is_some_and(|state| !matches!(state, "Z" | "X" | "x"))
+    ProcessStat::of(pid).is_some_and(|stat| !stat.has_ended())
 }
 
 /// The parent of a process; none for the first one, or one that has ended.
 fn parent_of(pid: u32) -> Option<u32> {
-    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
-    // The name of the program, in brackets, may have anything in it.
-    let mut words = stat.rsplit_once(')')?.1.split_ascii_whitespace();
-    words.nth(1)?.parse().ok().filter(|parent| *parent != 0)
-}
-
-/// What a process is doing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Work {
-    /// CPU time that it has used so far, in the kernel's units of accounting, a hundredth of a second.
-    pub used: u64,
-    /// It waits inside the kernel, as for a disk.
-    pub waits_for_disk: bool,
-}
-
-/// What a process is doing; none if there is no such process.
-#[must_use]
-pub fn work_of(pid: u32) -> Option<Work> {
-    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
-    let words: Vec<&str> = stat.rsplit_once(')')?.1.split_ascii_whitespace().collect();
-    let time = |place: usize| words.get(place)?.parse::<u64>().ok();
-    Some(Work { used: time(11)? + time(12)?, waits_for_disk: words.first() == Some(&"D") })
+    ProcessStat::of(pid).map(|stat| stat.parent).filter(|parent| *parent != 0)
 }
 
 /// Lets this process run on all its cores but `cores`, if there are others.
@@ -197,17 +175,6 @@ mod tests {
 
     fn sleeper() -> Child {
         Command::new("sleep").arg("600").stdout(Stdio::null()).spawn().unwrap()
-    }
-
-    #[test]
-    fn a_process_that_computes_is_at_work_and_one_that_is_gone_is_not() {
-        let me = std::process::id();
-        let before = work_of(me).unwrap().used;
-        let until_ns = crate::clock::now_ns() + 20_000_000_000;
-        while work_of(me).unwrap().used <= before + 1 {
-            assert!(crate::clock::now_ns() < until_ns, "this process computes and its time stands still");
-        }
-        assert_eq!(work_of(u32::MAX), None);
     }
 
     #[test]

@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::os::unix::fs::MetadataExt as _;
 
-use loopbound_shared::realtime::{ProcessHandle, Signal};
+use loopbound_shared::realtime::{ProcessHandle, ProcessStat, Signal};
 use rustix::process::geteuid;
 
 use super::KeeperArgs;
@@ -89,10 +89,8 @@ impl Run {
         }
         // First the handle, then the look: what is seen is what is held.
         let handle = ProcessHandle::open(pid).ok()?;
-        let stat = fs::read(format!("/proc/{pid}/stat")).ok()?;
-        let (state, parent, group) = state_parent_and_group(&stat)?;
-        let over = matches!(state, b'Z' | b'X' | b'x');
-        (!over).then(|| Seen { pid, parent, group, handle, marked: self.is_marked(pid) })
+        let ProcessStat { parent, group, .. } = ProcessStat::of(pid).filter(|stat| !stat.has_ended())?;
+        Some(Seen { pid, parent, group, handle, marked: self.is_marked(pid) })
     }
 
     fn is_marked(&self, pid: u32) -> bool {
@@ -127,14 +125,6 @@ fn contains(bytes: &[u8], wanted: &[u8]) -> bool {
     bytes.windows(wanted.len()).any(|window| window == wanted)
 }
 
-/// Of `/proc/PID/stat`. The name of the program, in brackets, may have anything in it.
-fn state_parent_and_group(stat: &[u8]) -> Option<(u8, u32, u32)> {
-    let after = stat.iter().rposition(|byte| *byte == b')')? + 1;
-    let mut words = std::str::from_utf8(stat.get(after..)?).ok()?.split_ascii_whitespace();
-    let state = *words.next()?.as_bytes().first()?;
-    Some((state, words.next()?.parse().ok()?, words.next()?.parse().ok()?))
-}
-
 #[cfg(test)]
 mod tests {
     use std::process::{Child, Command, Stdio};
@@ -142,12 +132,6 @@ mod tests {
     use loopbound_shared::run_id::RunId;
 
     use super::*;
-
-    #[test]
-    fn a_program_with_an_ugly_name_has_a_parent_and_a_group_all_the_same() {
-        assert_eq!(state_parent_and_group(b"7 (a) S 1 ) b) R 12 34 56 0 -1"), Some((b'R', 12, 34)));
-        assert_eq!(state_parent_and_group(b"7 (sh"), None);
-    }
 
     fn shell(script: &str, run: RunId) -> Child {
         use std::os::unix::process::CommandExt as _;
@@ -189,10 +173,7 @@ mod tests {
         let mut stubborn = shell("trap '' TERM; while :; do sleep 1000; done", id);
         let mut stopped = shell("kill -STOP $$; sleep 1000", id);
         let until_ns = loopbound_shared::clock::now_ns() + 20_000_000_000;
-        let is_stopped = |pid: u32| {
-            fs::read(format!("/proc/{pid}/stat"))
-                .is_ok_and(|stat| state_parent_and_group(&stat).is_some_and(|(state, ..)| state == b'T'))
-        };
+        let is_stopped = |pid: u32| ProcessStat::of(pid).is_some_and(|stat| stat.is_stopped());
         while run.members().len() < 3 || !is_stopped(stopped.id()) {
             assert!(loopbound_shared::clock::now_ns() < until_ns);
             loopbound_shared::clock::sleep_ns(2_000_000);
